@@ -1,0 +1,84 @@
+"""The topic table: everything that may be said on the bus, by whom, and how it is delivered.
+
+Keys stand below `vantage/{arena}/` on the bus; everywhere in the code the short key (`hider/pose`) is used.
+Publishing a key that is not in the table is an error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+from schemas import messages as m
+
+Delivery = Literal["lossless", "latest"]
+
+WORLD = ("simulator", "tracker")
+HIDER = ("planner", "console", "hider")
+
+
+@dataclass(frozen=True, slots=True)
+class Topic:
+    """One row of the topic table.
+
+    Attributes:
+        key: short key.
+        type: message type.
+        publishers: services that may publish it; in one deployment exactly one of them does (the seeker's and the
+            hider's commands and views have one publisher each).
+        delivery: `lossless` (cached, gaps noticed and recovered) or `latest` (a slow reader skips).
+        rate: expected messages per second in a real-time game, 0 = on occasion.
+        recorded: whether the recorder writes it.
+        cache: lossless only: how many messages the publisher keeps for recovery and late joiners.
+        history: how many past messages a late joiner gets (latched topics: 1).
+    """
+
+    key: str
+    type: type[m.Message]
+    publishers: tuple[str, ...]
+    delivery: Delivery = "lossless"
+    rate: float = 0.0
+    recorded: bool = True
+    cache: int = 256
+    history: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Call:
+    """One row of the call table: a question with an answer. Request and reply are logged as the topics named."""
+
+    key: str
+    request: type[m.Message]
+    reply: type[m.Message]
+    server: str
+
+
+SERVICES = ("simulator", "tracker", "referee", "seeker", "planner", "predictor", "recorder", "console", "hider")
+
+_STEP_RATE = 4.0
+
+TOPICS: dict[str, Topic] = {
+    topic.key: topic
+    for topic in (
+        Topic("episode", m.Episode, ("referee",)),
+        Topic("tick", m.Tick, ("referee",), rate=_STEP_RATE),
+        Topic("layout", m.Layout, WORLD),
+        *(Topic(f"{robot}/pose", m.Pose, WORLD, rate=_STEP_RATE) for robot in m.ROBOTS),
+        *(Topic(f"{robot}/depth", m.DepthImage, WORLD, rate=_STEP_RATE, cache=64) for robot in m.ROBOTS),
+        *(Topic(f"{robot}/color", m.ColorImage, WORLD, rate=_STEP_RATE, cache=64) for robot in m.ROBOTS),
+        Topic("hider/command", m.Command, HIDER, rate=_STEP_RATE),
+        Topic("seeker/command", m.Command, ("seeker",), rate=_STEP_RATE),
+        Topic("hider/view", m.StateImage, HIDER, rate=_STEP_RATE),
+        Topic("seeker/view", m.StateImage, ("seeker",), rate=_STEP_RATE),
+        Topic("hider/plan", m.Plan, HIDER),
+        Topic("predictor/request", m.PredictRequest, ("predictor",), cache=16, history=0),
+        Topic("predictor/reply", m.PredictReply, ("predictor",), cache=16, history=0),
+        Topic("control", m.Control, ("console", "command-line"), history=0),
+        Topic("gap", m.Gap, ("recorder",), history=0),
+        *(Topic(f"health/{service}", m.Health, (service,), rate=1.0, cache=16) for service in SERVICES),
+    )
+}
+
+CALLS: dict[str, Call] = {
+    call.key: call for call in (Call("predictor", m.PredictRequest, m.PredictReply, server="predictor"),)
+}

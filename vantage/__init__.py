@@ -1,0 +1,1 @@
+"""Vantage: see the world from the opponent's vantage point."""
