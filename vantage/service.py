@@ -20,7 +20,7 @@ from types import FrameType
 from typing import Any, Protocol
 
 from schemas import CALLS, TOPICS, Episode, Health, InputHealth, MalformedMessage, Message
-from vantage.bus import Alive, Bus, Lost, Reply, Request, Sample, ZenohBus
+from vantage.bus import Alive, Bus, CannotOpen, InProcessNetwork, Lost, Reply, Request, Sample, VirtualClock, ZenohBus
 
 logger = logging.getLogger("vantage")
 
@@ -309,13 +309,14 @@ class Runtime:
     def run(self) -> None:
         """Loop until `stop` or SIGTERM."""
         while not self._stopping:
-            self.turn(0.2)
+            self.turn(1.0)
         if self.health:
             self.bus.publish(f"health/{self.core.declaration.name}", self.health_report("stopping"))
 
     def stop(self) -> None:
-        """Make `run` return after the current event."""
+        """Make `run` return after the current event. May be called from a signal handler."""
         self._stopping = True
+        self.bus.wake()
 
     def health_report(self, state: str) -> Health:
         """Return what the service has to say of itself now."""
@@ -405,7 +406,7 @@ class Runtime:
             return
         counts.received += 1
         counts.last = now
-        token = id(request)
+        token = request.token
         self._requests[token] = request
         if not self._step(Asked(request.key, message, token), now) and token in self._requests:
             self._requests.pop(token).fail(f"{self.core.declaration.name} could not handle this request: {self._trouble}")
@@ -458,33 +459,27 @@ class Runtime:
                 request.fail(send.reason)
 
 
-@dataclass
-class VirtualClock:
-    """Time that only moves when told to; starts at 0 ns."""
-
-    now: int = 0
-
-    def __call__(self) -> int:
-        return self.now
-
-
-def run_in_process(runtimes: Sequence[Runtime], clock: VirtualClock, until: Callable[[], bool]) -> None:
+def run_in_process(network: InProcessNetwork, runtimes: Sequence[Runtime], until: Callable[[], bool]) -> None:
     """Run services in one thread, each in turn, deterministically, until `until()` is true.
 
-    When nobody has anything to do, the clock jumps to the next time that a core wants to be woken.
+    When nobody has anything to do, the network's clock (a VirtualClock) jumps to the next time that a core wants to be woken or
+    a call is due.
 
     Raises:
         RuntimeError: nothing is left to do although `until()` is false.
     """
+    clock = network.clock
+    assert isinstance(clock, VirtualClock)
     while not until():
         active = False
         for runtime in runtimes:
             active |= runtime.drain()
         if not active:
-            wakes = [wake for runtime in runtimes if (wake := runtime.core.wake_at()) is not None]
-            if not wakes:
-                raise RuntimeError("the services are all idle and the game is not over")
-            clock.now = max(clock.now, min(wakes))
+            wakes = [runtime.core.wake_at() for runtime in runtimes] + [network.next_deadline()]
+            due = [wake for wake in wakes if wake is not None]
+            if not due:
+                raise RuntimeError("the services are all idle, and what was waited for has not come")
+            clock.now = max(clock.now, min(due))
 
 
 @dataclass(frozen=True)
@@ -519,7 +514,7 @@ def run(make_core: Callable[[], Core], name: str, settings: BusSettings) -> int:
     try:
         core = make_core()
         bus = ZenohBus(name, settings.folder, settings.arena)
-    except (CannotStart, ValueError, OSError) as error:
+    except (CannotStart, CannotOpen, ValueError, OSError) as error:
         print(f"{name} cannot start: {error}", file=sys.stderr)
         return 1
     with bus:

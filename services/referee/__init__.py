@@ -1,0 +1,1 @@
+"""The referee: the rules, the step clock, the catch."""

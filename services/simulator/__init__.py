@@ -1,0 +1,1 @@
+"""The simulator: bodies and cameras of both robots."""
