@@ -40,7 +40,7 @@ def heading_radians(heading: int) -> float:
 @kernel
 def heading_number(radians: float) -> int:
     """Rad -> the nearest heading number 0..35."""
-    return np.int64(math.floor(radians / TURN + 0.5)) % HEADINGS
+    return math.floor(radians / TURN + 0.5) % HEADINGS
 
 
 @kernel
@@ -91,7 +91,7 @@ def apply_primitive(
 
     Returns x, y, heading 0..35, and `moved`: False exactly when the primitive was refused (so True for `stay`).
     """
-    heading = np.int64(heading) % HEADINGS
+    heading = int(heading) % HEADINGS
     if primitive == LEFT:
         return x, y, (heading + 1) % HEADINGS, True
     if primitive == RIGHT:
