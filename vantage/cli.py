@@ -1,0 +1,122 @@
+"""The `vantage` command: a table of commands, each imported only when it is asked for."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """One row of the command table.
+
+    Attributes:
+        words: what people type after `vantage`.
+        target: `module:function`; the function takes one settings dataclass, whose fields become options, and returns an exit
+            code or None.
+        summary: one line for `vantage --help`.
+    """
+
+    words: str
+    target: str
+    summary: str
+
+
+COMMANDS = (
+    Command("demo", "learning.demo:main", "play one game with trained weights, record it and draw it"),
+    Command("up", "vantage.commands:up", "start a deployment and wait until every service is healthy"),
+    Command("status", "vantage.commands:status", "how each service does: state, restarts, memory, stale inputs"),
+    Command("logs", "vantage.commands:logs", "what a service printed"),
+    Command("down", "vantage.commands:down", "stop a deployment"),
+    Command("check", "vantage.commands:check", "look at deployments without starting them"),
+    Command("play", "vantage.play:main", "play games on a running deployment"),
+    Command("collect", "learning.collect:main", "simulate games in parallel into MCAP logs"),
+    Command("convert", "learning.convert:main", "turn logs into a training set"),
+    Command("train vpt-tob", "learning.train_vpt_tob:main", "train the view prediction network"),
+    Command("train vpn", "learning.train_vpn:main", "train the network that judges a predicted view"),
+    Command("evaluate", "learning.evaluate:main", "accuracy of trained weights beside what needs no network"),
+    Command("log info", "vantage.log.commands:info", "what is in a log"),
+    Command("log recover", "vantage.log.commands:recover", "repair a log that was cut off"),
+    Command("log export", "vantage.log.commands:export", "write a log for other programs"),
+)
+
+FIRST_STEPS = """examples:
+  vantage demo                              see it work
+  vantage up simulation                     start all services
+  vantage play --seed 7 --games 3           play three games on them
+  vantage status                            how they do
+  vantage down                              stop them
+  vantage collect --help                    the options of a command"""
+
+
+def overview() -> str:
+    """Return the text of `vantage --help`."""
+    width = max(len(command.words) for command in COMMANDS) + 2
+    rows = "\n".join(f"  {command.words:<{width}}{command.summary}" for command in COMMANDS)
+    purpose = "Two robots play hide-and-seek; one sees through the other's eyes."
+    return f"usage: vantage COMMAND [options]\n\n{purpose}\n\ncommands:\n{rows}\n\n{FIRST_STEPS}"
+
+
+def find(arguments: Sequence[str]) -> tuple[Command, Sequence[str]] | None:
+    """Return the command that the arguments begin with, and the rest of them; None when they name no command."""
+    for length in (2, 1):
+        words = " ".join(arguments[:length])
+        for command in COMMANDS:
+            if len(arguments) >= length and command.words == words:
+                return command, arguments[length:]
+    return None
+
+
+def run(command: Command, arguments: Sequence[str]) -> int:
+    """Parse the arguments into the command's settings and run it. Returns the exit code."""
+    import inspect
+    import typing
+
+    import tyro
+
+    module, _, name = command.target.partition(":")
+    function = getattr(importlib.import_module(module), name)
+    (parameter,) = inspect.signature(function).parameters
+    kind = typing.get_type_hints(function)[parameter]
+    settings = tyro.cli(kind, args=list(arguments), prog=f"vantage {command.words}", description=inspect.getdoc(kind))
+    return int(function(settings) or 0)
+
+
+def main() -> None:
+    """Entry point of the `vantage` script."""
+    arguments = sys.argv[1:]
+    if not arguments or arguments[0] in ("-h", "--help", "help"):
+        print(overview())
+        sys.exit(0)
+    found = find(arguments)
+    if found is None:
+        group = [command for command in COMMANDS if command.words.startswith(arguments[0] + " ")]
+        if group:
+            asked = len(arguments) > 1 and arguments[1] in ("-h", "--help")
+            print(
+                "\n".join(f"vantage {command.words:<16}{command.summary}" for command in group),
+                file=sys.stdout if asked else sys.stderr,
+            )
+            sys.exit(0 if asked else 2)
+        print(f"vantage: no command `{arguments[0]}`\n\n{overview()}", file=sys.stderr)
+        sys.exit(2)
+    try:
+        sys.exit(run(*found))
+    except KeyboardInterrupt:
+        sys.exit(130)
+    except Exception as error:
+        if not _is_for_people(error):
+            raise
+        print(f"vantage {found[0].words}: {error}", file=sys.stderr)
+        sys.exit(1)
+
+
+def _is_for_people(error: Exception) -> bool:
+    """Whether an error's text says what is wrong and what to do; any other is a fault of ours and keeps its traceback."""
+    return getattr(error, "for_people", False) or isinstance(error, FileNotFoundError | PermissionError)
+
+
+if __name__ == "__main__":
+    main()

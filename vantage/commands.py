@@ -1,0 +1,298 @@
+"""What `vantage up`, `status`, `logs`, `down`, `check` and `play` do, and how they talk to people."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+from rich.console import Console
+from rich.live import Live
+from rich.table import Table
+
+from vantage.deployment import Deployment, DeploymentError, deployments
+from vantage.watch import HealthWatch, Verdict
+
+console = Console(highlight=False)
+
+NameOfDeployment = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[DEPLOYMENT]")]
+TROUBLESOME_RESTARTS = 4
+"""A service that was started so often before it was ever healthy does not start at all."""
+
+
+@dataclass(frozen=True)
+class Where:
+    """Which deployment, and where it runs."""
+
+    deployment: NameOfDeployment = "simulation"
+    """A configuration of compose/."""
+    folder: Path | None = None
+    """Private runtime folder; default /tmp/vantage-USERID/DEPLOYMENT. Keep it short: it holds unix sockets."""
+
+    def find(self) -> Deployment:
+        return Deployment(self.deployment, self.folder)
+
+
+@dataclass(frozen=True)
+class Up(Where):
+    """Start a deployment and wait until every service is healthy.
+
+    Examples:
+        vantage up simulation
+        vantage up simulation --logs /data/logs --with seeker="--preset expert" referee="--autoplay"
+    """
+
+    logs: Path = Path("logs")
+    """Where the recorder writes its MCAP logs."""
+    extra: Annotated[tuple[str, ...], tyro.conf.arg(name="with", metavar="NAME=ARGUMENTS")] = ()
+    """Arguments added to the command of a service; `python -m services.NAME --help` lists them."""
+    timeout: float = 30.0
+    """Seconds to wait for all services to be healthy."""
+
+
+@dataclass(frozen=True)
+class Status(Where):
+    """Show how each service does: process, restarts, memory, and what it complains about.
+
+    Ends with exit code 0 only if all are healthy.
+
+    Examples:
+        vantage status
+        vantage status --json
+    """
+
+    json: bool = False
+    """Print JSON for programs instead of a table."""
+
+
+@dataclass(frozen=True)
+class Logs:
+    """Show what a service printed.
+
+    Examples:
+        vantage logs planner
+        vantage logs planner --follow
+    """
+
+    service: tyro.conf.Positional[str]
+    """A service of the deployment, or `supervisord`."""
+    deployment: str = "simulation"
+    """A configuration of compose/."""
+    folder: Path | None = None
+    """Private runtime folder, as given to `vantage up`."""
+    follow: bool = False
+    """Go on printing what comes, until Ctrl-C."""
+    lines: int = 40
+    """How many of the last lines to show."""
+
+
+@dataclass(frozen=True)
+class Down(Where):
+    """Stop a deployment.
+
+    Example: vantage down simulation
+    """
+
+
+@dataclass(frozen=True)
+class Check:
+    """Look at a deployment without starting it: every command exists, every input has exactly one publisher.
+
+    Examples:
+        vantage check
+        vantage check simulation
+    """
+
+    deployment: NameOfDeployment = ""
+    """A configuration of compose/; all of them if not given."""
+
+
+def up(settings: Up) -> int:
+    """Start a deployment; stop it again if a service does not come up."""
+    deployment = settings.find()
+    started = time.monotonic()
+    deployment.start(settings.logs, dict(_name_and_arguments(text) for text in settings.extra))
+    try:
+        verdicts = _wait_until_healthy(deployment, settings.timeout)
+    except BaseException:
+        deployment.stop()
+        raise
+    sick = [verdict for verdict in verdicts if not verdict.healthy]
+    if sick:
+        text = "\n".join(_diagnosis(deployment, verdict) for verdict in sick)
+        deployment.stop()
+        raise DeploymentError(f"{settings.deployment} did not come up, and is stopped again.\n{text}")
+    memory = _mebibytes(sum(verdict.process.memory for verdict in verdicts) + deployment.supervisor_memory())
+    took = time.monotonic() - started
+    console.print(f"{settings.deployment} is up: {len(verdicts)} services healthy after {took:.1f} s, {memory} of memory")
+    folder = "" if settings.folder is None else f" --folder {settings.folder}"
+    name = "" if settings.deployment == "simulation" else f" {settings.deployment}"
+    for words, meaning in (("play --seed 7", "play a game"), ("status", "how the services do"), ("down", "stop them")):
+        console.print(f"  {f'vantage {words}{name}{folder}':<24} {meaning}", soft_wrap=True)
+    console.print(f"recordings: {settings.logs}   runtime folder: {deployment.folder}", soft_wrap=True)
+    return 0
+
+
+def status(settings: Status) -> int:
+    """Print how each service does; 0 if all are healthy, else 1."""
+    deployment = settings.find()
+    deployment.processes()
+    with HealthWatch(deployment) as watch:
+        watch.listen(1.2)
+        verdicts = watch.verdicts()
+    healthy = all(verdict.healthy for verdict in verdicts)
+    supervisor = deployment.supervisor_memory()
+    if settings.json:
+        document = {
+            "deployment": settings.deployment,
+            "folder": str(deployment.folder),
+            "healthy": healthy,
+            "memory_bytes": sum(verdict.process.memory for verdict in verdicts) + supervisor,
+            "services": [verdict.as_dict() for verdict in verdicts],
+        }
+        print(json.dumps(document, indent=2))
+    else:
+        console.print(_table(verdicts, supervisor))
+    return 0 if healthy else 1
+
+
+def logs(settings: Logs) -> int:
+    """Print the end of a service's log, and with `follow` what comes after."""
+    deployment = Deployment(settings.deployment, settings.folder)
+    path = deployment.log_of(settings.service)
+    text = deployment.tail(settings.service, settings.lines)
+    if text:
+        print(text, flush=True)
+    if settings.follow:
+        _follow(path)
+    return 0
+
+
+def down(settings: Down) -> int:
+    """Stop a deployment."""
+    deployment = settings.find()
+    if deployment.stop():
+        console.print(f"{settings.deployment} is down")
+    else:
+        console.print(f"{settings.deployment} was not up in {deployment.folder}", soft_wrap=True)
+    return 0
+
+
+def check(settings: Check) -> int:
+    """Print what is wrong with the deployments; 0 if nothing is."""
+    from vantage.check import check as troubles_with
+
+    sound = True
+    for name in [settings.deployment] if settings.deployment else deployments():
+        troubles = troubles_with(name)
+        sound = sound and not troubles
+        console.print(f"{name}: {'sound' if not troubles else f'{len(troubles)} troubles'}")
+        for trouble in troubles:
+            console.print(f"  {trouble}", soft_wrap=True)
+    return 0 if sound else 1
+
+
+def _name_and_arguments(text: str) -> tuple[str, str]:
+    name, separator, arguments = text.partition("=")
+    if not separator or not name:
+        raise DeploymentError(f'--with wants NAME="ARGUMENTS", not {text!r}')
+    return name, arguments
+
+
+def _wait_until_healthy(deployment: Deployment, timeout: float) -> Sequence[Verdict]:
+    deadline = time.monotonic() + timeout
+    with HealthWatch(deployment) as watch, Live(console=console, auto_refresh=False, transient=True) as live:
+        while True:
+            watch.listen(0.1)
+            verdicts = watch.verdicts()
+            if console.is_terminal:
+                live.update(_progress(verdicts), refresh=True)
+            hopeless = any(not verdict.healthy and verdict.process.restarts >= TROUBLESOME_RESTARTS for verdict in verdicts)
+            if hopeless or all(verdict.healthy for verdict in verdicts) or time.monotonic() > deadline:
+                return verdicts
+
+
+def _progress(verdicts: Sequence[Verdict]) -> Table:
+    table = Table.grid(padding=(0, 2))
+    for verdict in verdicts:
+        table.add_row(
+            "[green]✓[/]" if verdict.healthy else "[yellow]…[/]", verdict.process.name, verdict.state, _one_line(verdict.trouble)
+        )
+    return table
+
+
+def _table(verdicts: Sequence[Verdict], supervisor_memory: int) -> Table:
+    table = Table(show_footer=True, box=None, pad_edge=False, header_style="bold")
+    total = sum(verdict.process.memory for verdict in verdicts) + supervisor_memory
+    table.add_column("service", "total with supervisord")
+    table.add_column("state")
+    table.add_column("pid", justify="right")
+    table.add_column("restarts", str(sum(verdict.process.restarts for verdict in verdicts)), justify="right")
+    table.add_column("up", justify="right")
+    table.add_column("memory", _mebibytes(total), justify="right")
+    table.add_column("bad", justify="right")
+    table.add_column("lost", justify="right")
+    table.add_column("trouble", overflow="fold")
+    for verdict in verdicts:
+        row = verdict.as_dict()
+        process = verdict.process
+        bad = sum(int(str(row[kind])) for kind in ("malformed", "unexpected", "failed"))
+        table.add_row(
+            process.name,
+            f"[{'green' if verdict.healthy else 'red'}]{verdict.state}[/]",
+            str(process.pid or ""),
+            str(process.restarts),
+            _duration(process.uptime),
+            _mebibytes(process.memory),
+            str(bad),
+            str(row["lost"]),
+            _one_line(verdict.trouble),
+        )
+    return table
+
+
+def _diagnosis(deployment: Deployment, verdict: Verdict) -> str:
+    name = verdict.process.name
+    tail = deployment.tail(name) or "(it printed nothing)"
+    indented = "\n".join(f"    {line}" for line in tail.splitlines())
+    return f"{name}: {verdict.state}: {verdict.trouble}\n  the end of {deployment.folder / (name + '.log')}:\n{indented}"
+
+
+def _follow(path: Path) -> None:
+    """Print what is appended, also after the file was rotated, until interrupted."""
+    stream = path.open(errors="replace")
+    stream.seek(0, 2)
+    while True:
+        text = stream.read()
+        if text:
+            sys.stdout.write(text)
+            sys.stdout.flush()
+            continue
+        try:
+            rotated = path.stat().st_ino != os.fstat(stream.fileno()).st_ino
+        except FileNotFoundError:
+            rotated = False
+        if rotated:
+            stream.close()
+            stream = path.open(errors="replace")
+        time.sleep(0.1)
+
+
+def _one_line(text: str) -> str:
+    return " ".join(text.split())
+
+
+def _mebibytes(number: int) -> str:
+    return f"{number / 2**20:.0f} MiB"
+
+
+def _duration(seconds: float) -> str:
+    minutes, rest = divmod(int(seconds), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{hours}h{minutes:02}m" if hours else f"{minutes}m{rest:02}s" if minutes else f"{rest}s"
