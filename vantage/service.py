@@ -20,7 +20,7 @@ from types import FrameType
 from typing import Any, Protocol
 
 from schemas import CALLS, TOPICS, Episode, Health, InputHealth, MalformedMessage, Message
-from vantage.bus import Alive, Bus, CannotOpen, InProcessNetwork, Lost, Reply, Request, Sample, VirtualClock, ZenohBus
+from vantage.bus import Alive, Bus, CannotOpen, InProcessNetwork, Lost, Reply, Request, Sample, VirtualClock
 
 logger = logging.getLogger("vantage")
 
@@ -510,6 +510,8 @@ def run(make_core: Callable[[], Core], name: str, settings: BusSettings) -> int:
 
     What is wrong at the start (missing weights, a taken name, an impossible layout) is said in one line.
     """
+    from vantage.bus.zenoh_bus import ZenohBus  # only a process on a real bus pays for loading Zenoh
+
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
     try:
         core = make_core()

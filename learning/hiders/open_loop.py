@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from vantage.perception.state_image import Perceived
-from vantage.world.arena import ARENA_SIZE, STAY
+from vantage.world.arena import ARENA_SIZE, STAY, TURN
 from vantage.world.motion import apply_primitive
 
 _NO_BOXES = np.zeros((0, 7))
@@ -33,7 +33,7 @@ class OpenLoop:
     def new_path(self, x: float, y: float, heading: int, step: int) -> NDArray[np.float64] | None:
         if self._path is not None:
             planned = self._path[step - self._path_start]
-            if abs(planned[0] - x) < 1e-6 and abs(planned[1] - y) < 1e-6 and planned[2] == heading:
+            if abs(planned[0] - x) < 1e-6 and abs(planned[1] - y) < 1e-6 and abs(planned[2] - heading * TURN) < 1e-6:
                 return None
         self._path = _integrate(self._primitives[step:], x, y, heading)
         self._path_start = step
@@ -42,8 +42,8 @@ class OpenLoop:
 
 def _integrate(primitives: NDArray[np.int64], x: float, y: float, heading: int) -> NDArray[np.float64]:
     path = np.empty((len(primitives) + 1, 3))
-    path[0] = x, y, heading
+    path[0] = x, y, heading * TURN
     for index, primitive in enumerate(primitives):
         x, y, heading, _ = apply_primitive(_NO_BOXES, ARENA_SIZE, ARENA_SIZE, x, y, heading, primitive, np.nan, np.nan)
-        path[index + 1] = x, y, heading
+        path[index + 1] = x, y, heading * TURN
     return path

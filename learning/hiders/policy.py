@@ -23,7 +23,7 @@ class HiderPolicy(Protocol):
         ...
 
     def new_path(self, x: float, y: float, heading: int, step: int) -> NDArray[np.float64] | None:
-        """Return the planned poses [n, 3] (x, y, heading in units of 10 degrees) of this step and each later one up to the
-        end of the episode, if they differ from those returned before; else None. Called after `act`, never knows of catches.
+        """Return the planned poses [n, 3] (x, y in m, heading in rad) of this step and each later one up to the end of the
+        episode, if they differ from those returned before; else None. Called after `act`; never knows of catches.
         """
         ...

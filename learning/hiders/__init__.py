@@ -1,0 +1,1 @@
+"""Hider policies for data collection: one file each, one row in `learning.hiders.table`."""

@@ -1,0 +1,24 @@
+"""The hider table: every policy of `vantage collect --hider`, by name. A new policy is one file and one row here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from learning.hiders.evader import SKILLS, Evader
+from learning.hiders.goal_walk import GoalWalk
+from learning.hiders.policy import HiderPolicy
+from learning.hiders.random_primitives import RandomPrimitives
+from learning.hiders.replay import Replay, Trajectories
+
+Make = Callable[[int, np.random.Generator, Trajectories], HiderPolicy]
+
+HIDERS: dict[str, Make] = {
+    "random": lambda steps, generator, _: RandomPrimitives(steps, generator),
+    "goal-walk": lambda steps, generator, _: GoalWalk(steps, generator),
+    "scripted": lambda steps, generator, _: Evader(steps, generator, int(generator.choice(SKILLS))),
+    **{f"scripted-{skill}": (lambda steps, generator, _, skill=skill: Evader(steps, generator, skill)) for skill in SKILLS},
+    "replay": Replay,
+}
+"""(maximum steps, generator of the episode, recorded trajectories) -> policy."""
