@@ -1,7 +1,4 @@
-"""The message bus: one interface, in-process and over Zenoh.
-
-`vantage.bus.zenoh_bus` is imported by who needs it, so that in-process users do not load Zenoh.
-"""
+"""The message bus: one interface, in-process and over Zenoh."""
 
 from vantage.bus.in_process import InProcessBus, InProcessNetwork, VirtualClock
 from vantage.bus.interface import (
@@ -20,6 +17,7 @@ from vantage.bus.interface import (
     UndeclaredKey,
     WrongType,
 )
+from vantage.bus.zenoh_bus import ZenohBus
 
 __all__ = [
     "Alive",
@@ -39,4 +37,5 @@ __all__ = [
     "UndeclaredKey",
     "VirtualClock",
     "WrongType",
+    "ZenohBus",
 ]

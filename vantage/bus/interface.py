@@ -259,7 +259,10 @@ class Bus(ABC):
 
     @abstractmethod
     def wake(self) -> None:
-        """Make a waiting (or a later) `receive` return None, in its turn among the events. May be called from signal handlers and other threads."""
+        """Make a waiting (or a later) `receive` return None, in its turn.
+
+        May be called from signal handlers and other threads.
+        """
 
     @abstractmethod
     def close(self) -> None:

@@ -1,0 +1,115 @@
+"""Opening a closed Zenoh session: unix sockets in a private folder, no multicast, no TCP."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+import stat
+from pathlib import Path
+
+import zenoh
+
+from vantage.bus.interface import CannotOpen, NameInUse
+
+HUBS = ("recorder", "referee")
+"""Participants whose sockets everyone connects to; gossip through them makes the mesh, which outlives them."""
+
+LEASE = 2.0
+"""Seconds without a sign of life after which a peer counts as gone."""
+
+_LONGEST_SOCKET_PATH = 107  # sockaddr_un.sun_path holds 108 bytes, the last of them zero
+
+
+def open_session(name: str, folder: Path) -> zenoh.Session:
+    """Open a participant's session on the sockets in `folder`, which is made (mode 0700) when it does not exist.
+
+    Raises:
+        NameInUse: a living process holds the socket of that name.
+        CannotOpen: the folder is not private, its path is too long for a socket, or Zenoh refuses.
+    """
+    folder = Path(os.path.abspath(folder))
+    _check_path(name, folder)
+    _make_private(folder)
+    _refuse_taken_name(name, folder)
+    try:
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration(name, folder))))
+    except zenoh.ZError as error:
+        _refuse_taken_name(name, folder)
+        raise CannotOpen(f"Zenoh does not open a session for {name!r} in {folder}: {error}") from error
+
+
+def configuration(name: str, folder: Path) -> dict[str, object]:
+    """Return the Zenoh configuration of one participant."""
+    return {
+        "mode": "peer",
+        "listen": {"endpoints": [_endpoint(name, folder)], "exit_on_failure": True},
+        "connect": {
+            "endpoints": [_endpoint(hub, folder) for hub in HUBS if hub != name],
+            "exit_on_failure": False,
+            "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+        },
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": True}},
+        "timestamping": {"enabled": True},
+        "transport": {
+            # Shared memory is slower than the socket below 100 KB, and a killed process leaves its segments behind.
+            "shared_memory": {"enabled": False},
+            "link": {
+                "protocols": ["unixsock-stream"],
+                "tx": {
+                    "lease": round(1000 * LEASE),
+                    "queue": {
+                        "size": {"data": 16},
+                        # Only calls block; no longer than it takes to find out that the peer is gone.
+                        "congestion_control": {"block": {"wait_before_close": round(1e6 * LEASE)}},
+                    },
+                },
+            },
+        },
+    }
+
+
+def _endpoint(name: str, folder: Path) -> str:
+    return f"unixsock-stream/{folder / name}.sock"
+
+
+def _check_path(name: str, folder: Path) -> None:
+    path = f"{folder / name}.sock"
+    length = len(os.fsencode(path))
+    if length > _LONGEST_SOCKET_PATH:
+        raise CannotOpen(
+            f"{path} is too long for a socket ({length} bytes, at most {_LONGEST_SOCKET_PATH}): choose a shorter folder"
+        )
+    if any(sign in path for sign in "#?;"):
+        raise CannotOpen(f"{path}: a folder for sockets must not have `#`, `?` or `;` in its path")
+
+
+def _make_private(folder: Path) -> None:
+    try:
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        found = folder.lstat()
+    except OSError as error:
+        raise CannotOpen(f"cannot make the folder for sockets {folder}: {error.strerror}") from error
+    if not stat.S_ISDIR(found.st_mode):
+        raise CannotOpen(f"{folder} is not a folder of its own (a link?): the bus needs a private one for its sockets")
+    if found.st_uid != os.geteuid():
+        raise CannotOpen(
+            f"{folder} belongs to user {found.st_uid}, not to you ({os.geteuid()}): choose another folder for the sockets"
+        )
+    if found.st_mode & 0o077:
+        mode = stat.S_IMODE(found.st_mode)
+        raise CannotOpen(f"{folder} is open to other users (mode {mode:04o}): `chmod 700 {folder}`, or choose another folder")
+
+
+def _refuse_taken_name(name: str, folder: Path) -> None:
+    """Zenoh locks `<socket>.lock` while it listens; the lock goes with its process, so a stale file takes no name."""
+    try:
+        lock = os.open(f"{folder / name}.sock.lock", os.O_RDONLY)
+    except FileNotFoundError:
+        return
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise NameInUse(f"{name!r} is on the bus in {folder} already: stop that process first") from None
+    finally:
+        os.close(lock)
