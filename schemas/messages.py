@@ -203,7 +203,7 @@ class Plan(Message, frozen=True, kw_only=True):
         tuple[Annotated[float, Meta(ge=0.0, le=1e6)] | None, ...],
         Meta(max_length=GOAL_COUNT, description="V per goal, lower is safer, null = blocked; goal = 11 row + column, x = 0.1 (column + 1), y = 0.1 (row + 1); empty when the policy has none"),
     ] = ()
-    goal: Annotated[int | None, Meta(ge=0, lt=GOAL_COUNT, description="index of the chosen goal")] = None
+    goal: Annotated[Annotated[int, Meta(ge=0, lt=GOAL_COUNT)] | None, Meta(description="index of the chosen goal")] = None
     path: Annotated[bytes, Meta(description="float32 [n, 3], planned x, y (m), heading (rad) at this step and each later one")] = b""
     elapsed: Annotated[Seconds, Meta(description="time taken to plan, s; differs from run to run, like a stamp")] = 0.0
 
