@@ -6,8 +6,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from schemas import PRIMITIVES, ColorImage, Command, DepthImage, Episode, Plan, Pose, StateImage
 from learning.hiders.policy import HiderPolicy
+from schemas import PRIMITIVES, ColorImage, Command, DepthImage, Episode, Plan, Pose, StateImage
 from vantage.perception.state_image import perceive
 from vantage.service import Arrived, Declaration, Publish, Received, Send, StepJoin
 from vantage.world.motion import heading_number
@@ -74,4 +74,3 @@ class HiderCore:
         command = Command(stamp=stamp, episode=episode, step=step, primitive=PRIMITIVES[primitive])
         sends.append(Publish("hider/command", command))
         return sends
-

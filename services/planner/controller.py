@@ -74,7 +74,9 @@ class Controller:
     def reachable_goals(self, x: float, y: float, heading: int) -> NDArray[np.bool_]:
         """Return bool [121]: goals that are not blocked and can be reached, as far as has been seen."""
         tree = self.paths_from(x, y, heading)
-        return np.array([not self.is_blocked(goal) and math.isfinite(search.cost_to(tree, *GOALS[goal])) for goal in range(len(GOALS))])
+        return np.array(
+            [not self.is_blocked(goal) and math.isfinite(search.cost_to(tree, *GOALS[goal])) for goal in range(len(GOALS))]
+        )
 
     def is_blocked(self, goal: int) -> bool:
         """Whether the robot cannot stand at a goal, as far as has been seen."""

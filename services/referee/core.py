@@ -135,7 +135,9 @@ class RefereeCore:
         sends: list[Send] = []
         if self._left_behind > self._number:
             self._number = self._left_behind
-            sends.append(self._episode("aborted", now, reason="the referee was restarted; the setup of this game has its seed and rules"))
+            sends.append(
+                self._episode("aborted", now, reason="the referee was restarted; the setup of this game has its seed and rules")
+            )
         sends.extend(self._begin_if_possible(now))
         return sends
 

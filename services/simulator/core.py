@@ -102,7 +102,9 @@ class SimulatorCore:
 
     def _on_command(self, robot: str, command: Command, now: int) -> Sequence[Send]:
         if self._episode is None or command.episode != self._episode.episode or command.step != self._step:
-            raise Unexpected(f"{robot}/command for episode {command.episode} step {command.step}, the world is at step {self._step}")
+            raise Unexpected(
+                f"{robot}/command for episode {command.episode} step {command.step}, the world is at step {self._step}"
+            )
         if robot in self._commands:
             raise Unexpected(f"a second {robot}/command for step {command.step}")
         self._commands[robot] = _NUMBER_OF_PRIMITIVE[command.primitive]
@@ -122,9 +124,7 @@ class SimulatorCore:
             return ()
         primitives = np.array([self._commands[robot] for robot in ROBOTS], np.int64)
         self._commands.clear()
-        move_both(
-            self._boxes, self._layout.width, self._layout.depth, self._poses, primitives, self._next_poses, self._moved
-        )
+        move_both(self._boxes, self._layout.width, self._layout.depth, self._poses, primitives, self._next_poses, self._moved)
         self._poses, self._next_poses = self._next_poses, self._poses
         self._step += 1
         return self._sense(now)

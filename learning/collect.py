@@ -1,0 +1,224 @@
+"""`vantage collect`: play many games in process, far faster than real time, and log them.
+
+Each worker process runs the real cores on the in-process bus under a virtual clock and writes one log per block of episodes, so
+a log depends on its settings alone: the same command makes the same bytes of every message.
+"""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, field, replace
+from multiprocessing.queues import Queue
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from services.seeker.core import SeekerCore, SeekerSettings
+
+from learning.hiders.core import HiderCore
+from learning.hiders.policy import HiderPolicy
+from learning.hiders.replay import Trajectories
+from learning.hiders.table import HIDERS
+from schemas import PRIMITIVES, Command, Episode, Players, Rules
+from services.referee.core import RefereeCore, RefereeSettings
+from services.simulator.core import SimulatorCore, SimulatorSettings
+from vantage.bus import InProcessNetwork, Sample, VirtualClock
+from vantage.log import LogWriter, RunMetadata, read, source_commit
+from vantage.service import Runtime, run_in_process
+
+EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
+EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
+
+
+@dataclass(frozen=True)
+class CollectSettings:
+    """Gather data: parallel games in simulation, MCAP logs out.
+
+    Examples:
+      vantage collect --episodes 4500 --hider goal-walk --to logs/
+      vantage collect --episodes 300 --hider scripted --rules.no-catching --to evader/
+      vantage collect --episodes 1500 --hider replay --from-logs evader/ --to logs/
+    """
+
+    episodes: int = 100
+    """How many games."""
+    hider: str = "goal-walk"
+    """Policy of the hider: a row of the hider table (random, goal-walk, scripted, scripted-1..3, replay)."""
+    seeker: str = "glancing"
+    """Preset of the seeker: glancing or expert."""
+    to: Path = Path("logs")
+    """Folder for the logs."""
+    from_logs: Path | None = None
+    """Logs whose hider trajectories `--hider replay` plays."""
+    seed: int = 1
+    """Seed of the first episode; episode n uses seed + n - 1."""
+    workers: int = 0
+    """Worker processes; 0 = one for each core."""
+    block: int = 50
+    """Episodes per log."""
+    views: bool = False
+    """Also log the state images (training sets draw them again from the pictures)."""
+    rules: Rules = field(default_factory=lambda: Rules(maximum_steps=200))
+    world: tyro.conf.OmitArgPrefixes[SimulatorSettings] = field(default_factory=SimulatorSettings)
+
+
+def main(settings: CollectSettings) -> int:
+    """Collect; returns the exit code."""
+    if settings.hider not in HIDERS:
+        print(f"there is no hider `{settings.hider}`; the table has {', '.join(HIDERS)}", file=sys.stderr)
+        return 2
+    trajectories: Trajectories = ()
+    if settings.hider == "replay":
+        if settings.from_logs is None:
+            print("`--hider replay` needs the recorded trajectories: --from-logs FOLDER", file=sys.stderr)
+            return 2
+        trajectories = tuple(read_trajectories(settings.from_logs))
+        if not trajectories:
+            print(f"{settings.from_logs} holds no hider trajectory", file=sys.stderr)
+            return 2
+    settings.to.mkdir(parents=True, exist_ok=True)
+    blocks = [
+        range(first, min(first + settings.block, settings.episodes + 1))
+        for first in range(1, settings.episodes + 1, settings.block)
+    ]
+    waiting = [block for block in blocks if not log_path(settings, block).exists()]
+    if len(waiting) < len(blocks):
+        print(f"{len(blocks) - len(waiting)} of {len(blocks)} logs are there already and are kept")
+    console = Console()
+    context = multiprocessing.get_context("spawn")
+    done: Queue[tuple[int, int]] = context.Queue()
+    workers = min(settings.workers or multiprocessing.cpu_count(), max(len(waiting), 1))
+    processes = [
+        context.Process(target=_work, args=(settings, waiting[index::workers], trajectories, done), daemon=True)
+        for index in range(workers)
+    ]
+    started = time.monotonic()
+    for process in processes:
+        process.start()
+    columns = (TextColumn("collecting"), BarColumn(), MofNCompleteColumn(), TextColumn("games  {task.fields[rate]}"))
+    steps = games = 0
+    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
+        task = progress.add_task("collect", total=sum(map(len, waiting)), rate="")
+        while games < sum(map(len, waiting)):
+            try:
+                played, stepped = done.get(timeout=1.0)
+            except Exception:  # the queue is empty
+                if not any(process.is_alive() for process in processes):
+                    break
+                continue
+            games += played
+            steps += stepped
+            progress.update(task, completed=games, rate=f"{steps / (time.monotonic() - started):,.0f} steps/s")
+    for process in processes:
+        process.join()
+    failed = [process.exitcode for process in processes if process.exitcode]
+    elapsed = time.monotonic() - started
+    print(
+        f"{games} games, {steps} steps in {elapsed:.1f} s: {steps / elapsed:,.0f} steps/s with {workers} workers, in {settings.to}/"
+    )
+    if failed or games < sum(map(len, waiting)):
+        print(f"{len(failed)} workers failed (see above); run the command again to go on", file=sys.stderr)
+        return 1
+    return 0
+
+
+def log_path(settings: CollectSettings, block: range) -> Path:
+    """Return the log of a block of episodes."""
+    return settings.to / f"{settings.hider}_{settings.seeker}_{settings.seed + block[0] - 1:07d}.mcap"
+
+
+def read_trajectories(folder: Path) -> Iterator[np.ndarray]:
+    """Yield the hider's primitives (int64 [steps]) of each episode in logs."""
+    number = {name: index for index, name in enumerate(PRIMITIVES)}
+    for path in sorted(folder.rglob("*.mcap")):
+        episode, primitives = 0, list[int]()
+        for record in read(path, topics=("hider/command",)):
+            command = record.decode()
+            assert isinstance(command, Command)
+            if command.episode != episode and primitives:
+                yield np.array(primitives, np.int64)
+                primitives = []
+            episode = command.episode
+            primitives.append(number[command.primitive])
+        if primitives:
+            yield np.array(primitives, np.int64)
+
+
+def play_block(settings: CollectSettings, block: range, trajectories: Trajectories, path: Path) -> int:
+    """Play a block of episodes into one log. Returns the number of steps played."""
+
+    def make_policy(episode: Episode) -> HiderPolicy:
+        generator = np.random.default_rng([episode.seed, 0x41DE])
+        return HIDERS[settings.hider](episode.rules.maximum_steps, generator, trajectories)
+
+    first = settings.seed + block[0] - 1  # episode numbers are seeds, so that they are unique over a whole collection
+    referee = RefereeSettings(
+        autoplay=True,
+        games=len(block),
+        seed=first,
+        first_episode=first,
+        rules=settings.rules,
+        players=Players(hider=settings.hider, seeker=settings.seeker),
+        required=("simulator", "seeker", "hider"),
+        settle=0.0,
+    )
+    network = InProcessNetwork(clock=VirtualClock(EPOCH + first * EPISODE_SPACING))
+    recorder = network.session("recorder")
+    recorder.subscribe("**", raw=True)
+    runtimes = [
+        Runtime(core, network.session(name), network.clock, health=False)
+        for name, core in (
+            ("simulator", SimulatorCore(settings.world)),
+            ("seeker", SeekerCore(SeekerSettings(publish_view=settings.views))),
+            ("hider", HiderCore(make_policy, publish_view=settings.views)),
+            ("referee", RefereeCore(referee)),
+        )
+    ]
+    # What a log says of its making must not depend on where or when it was made.
+    portable = replace(settings, to=Path(), from_logs=None, workers=0)
+    metadata = RunMetadata(
+        commit=source_commit(),
+        configuration=json.dumps(asdict(portable), default=lambda value: msgspec.to_builtins(value, enc_hook=str)),
+        started=EPOCH + first * EPISODE_SPACING,
+    )
+    games = steps = 0
+    partial = path.with_suffix(".partial")
+    partial.unlink(missing_ok=True)
+    with LogWriter(partial, metadata, compression="lz4", sync=False) as writer:
+
+        def record() -> bool:
+            nonlocal games, steps
+            while (event := recorder.receive(0.0)) is not None:
+                if not isinstance(event, Sample):
+                    continue
+                writer.write(
+                    event.key,
+                    event.payload,
+                    log_time=event.published,
+                    publish_time=event.published,
+                    sequence=event.sequence,
+                    publisher=event.publisher,
+                )
+                if event.key == "tick":
+                    steps += 1
+                elif event.key == "episode":
+                    message = event.decode()
+                    games += isinstance(message, Episode) and message.phase in ("ended", "aborted")
+            return games == len(block)
+
+        run_in_process(network, runtimes, record)
+    partial.rename(path)
+    return steps
+
+
+def _work(settings: CollectSettings, blocks: list[range], trajectories: Trajectories, done: Queue[tuple[int, int]]) -> None:
+    for block in blocks:
+        steps = play_block(settings, block, trajectories, log_path(settings, block))
+        done.put((len(block), steps))
