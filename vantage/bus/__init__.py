@@ -1,4 +1,4 @@
-"""The message bus: one interface, in-process and over Zenoh."""
+"""The message bus: one interface, in-process and over Zenoh (`vantage.bus.zenoh_bus`, loaded only by processes on a real bus)."""
 
 from vantage.bus.in_process import InProcessBus, InProcessNetwork, VirtualClock
 from vantage.bus.interface import (
@@ -17,7 +17,6 @@ from vantage.bus.interface import (
     UndeclaredKey,
     WrongType,
 )
-from vantage.bus.zenoh_bus import ZenohBus
 
 __all__ = [
     "Alive",
@@ -37,5 +36,4 @@ __all__ = [
     "UndeclaredKey",
     "VirtualClock",
     "WrongType",
-    "ZenohBus",
 ]

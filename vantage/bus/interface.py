@@ -17,7 +17,7 @@ from schemas import CALLS, TOPICS, Call, MalformedMessage, Message, Topic, decod
 from vantage.bus.expressions import check, named_keys
 
 
-class Refused(ValueError):  # noqa: N818
+class Refused(ValueError):
     """The bus does not do what was asked, because the tables of `schemas` do not allow it."""
 
 
@@ -33,7 +33,7 @@ class NotPublisher(Refused):
     """This participant may not publish the key, or not serve the call."""
 
 
-class CannotOpen(RuntimeError):  # noqa: N818
+class CannotOpen(RuntimeError):
     """The session cannot be opened; the text says why and what to do."""
 
 
@@ -41,7 +41,7 @@ class NameInUse(CannotOpen):
     """A living participant of the same name is on the bus."""
 
 
-class CallFailed(RuntimeError):  # noqa: N818
+class CallFailed(RuntimeError):
     """A call ended without an answer; the text says why."""
 
 
@@ -195,8 +195,8 @@ class Bus(ABC):
     def __init__(self, name: str, arena: str, topics: Mapping[str, Topic] = TOPICS, calls: Mapping[str, Call] = CALLS) -> None:
         for word, text in (("name", name), ("arena", arena)):
             check(text)
-            if "/" in text or "*" in text:
-                raise ValueError(f"{word} {text!r} must be one plain word")
+            if "/" in text or "*" in text or not text.isascii() or len(text) > 64:
+                raise ValueError(f"{word} {text!r} must be one plain ASCII word of at most 64 letters")
         self.name = name
         self.arena = arena
         self._topics = topics
