@@ -134,7 +134,7 @@ def _scan_rows(
                 continue
             # Climb to the middle of the cluster, so that the window is not cut from its near tail.
             while b + 2 <= _BINS and np.int64(counts[u, b + 1]) + np.int64(counts[u, b + 2]) > here:
-                b += 1  # noqa: PLW2901
+                b += 1
                 here = np.int64(counts[u, b]) + np.int64(counts[u, b + 1])
             nearest[u] = max(1, (b - 1) << _BIN_SHIFT)
             farthest[u] = 65536 if b + 2 >= _BINS else (b + 3) << _BIN_SHIFT

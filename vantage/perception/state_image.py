@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from schemas import STATE_IMAGE_SIZE, ColorImage, DepthImage, Pose, Robot
+from schemas import STATE_IMAGE_SIZE, ColorImage, DepthImage, Intrinsics, Pose, Robot
 from vantage.compiled import kernel
 from vantage.perception.palette import BOUNDARY, FREE, INVISIBLE, OTHER, OWN, PIXEL_SIZE
-from vantage.perception.scan import NOTHING, ROBOT, SURFACE, find_other, scan_columns
+from vantage.perception.scan import NOTHING, SURFACE, find_other, scan_columns
 from vantage.world.arena import ARENA_SIZE, ROBOT_RADIUS
 
 BRIDGED_COLUMNS = 2
@@ -56,7 +56,7 @@ def _toggle_edge(rows: NDArray[np.uint64], x0: float, y0: float, x1: float, y1: 
     slope = (x1 - x0) / (y1 - y0)
     crossing = x0 + (first + 0.5 - y0) * slope - 0.5
     for row in range(first, stop):
-        column = int(math.ceil(min(float(_SIZE), max(0.0, crossing))))
+        column = math.ceil(min(float(_SIZE), max(0.0, crossing)))
         rows[row, 0] ^= _FROM_COLUMN[column, 0]
         rows[row, 1] ^= _FROM_COLUMN[column, 1]
         crossing += slope
@@ -81,32 +81,40 @@ def _plot(image: NDArray[np.uint8], x: float, y: float) -> None:
 
 
 @kernel
-def _cut(x: float, y: float, dx: float, dy: float) -> tuple[float, float]:
-    """End of the ray from (x, y) by (dx, dy), cut where it leaves the picture; pixel coordinates, (x, y) inside."""
-    part = 1.0
-    if x + dx > _SIZE:
-        part = min(part, (_SIZE - x) / dx)
-    elif x + dx < 0.0:
-        part = min(part, -x / dx)
-    if y + dy > _SIZE:
-        part = min(part, (_SIZE - y) / dy)
-    elif y + dy < 0.0:
-        part = min(part, -y / dy)
-    return x + part * dx, y + part * dy
+def _end(x: float, y: float, reach: float, direction_x: float, direction_y: float, inside: bool) -> tuple[float, float]:
+    """End of the ray from (x, y), pixel coordinates, cut where it leaves the picture if (x, y) is `inside`."""
+    dx = reach * direction_x
+    dy = reach * direction_y
+    if inside and not (0.0 <= x + dx <= _SIZE and 0.0 <= y + dy <= _SIZE):
+        part = 1.0
+        if x + dx > _SIZE:
+            part = min(part, (_SIZE - x) / dx)
+        elif x + dx < 0.0:
+            part = min(part, -x / dx)
+        if y + dy > _SIZE:
+            part = min(part, (_SIZE - y) / dy)
+        elif y + dy < 0.0:
+            part = min(part, -y / dy)
+        dx *= part
+        dy *= part
+    return x + dx, y + dy
 
 
 @kernel
-def _joined(inverse: NDArray[np.float64], u: int) -> bool:
-    """Whether columns u - 1 and u show one surface: near each other, or in line, for 1 / range is linear along a plane."""
-    before = inverse[u - 1]
-    after = inverse[u]
-    step = after - before
-    if abs(step) <= 0.04 * before * after + 0.03 * max(before, after):
+def _joined(ranges: NDArray[np.float64], kinds: NDArray[np.uint8], last: int, u: int) -> bool:
+    """Whether columns `last` and `u`, the next with a return, show one surface.
+
+    They do where their ranges are close, or where they lie in line with a neighbour: 1 / range is linear along a plane.
+    """
+    before = ranges[last]
+    after = ranges[u]
+    if abs(after - before) <= 0.04 + 0.03 * min(before, after):
         return True
+    step = (1.0 / after - 1.0 / before) / (u - last)
     tolerance = 0.25 * abs(step)
-    if u >= 2 and abs(before - inverse[u - 2] - step) <= tolerance:
+    if last > 0 and kinds[last - 1] != NOTHING and abs(1.0 / before - 1.0 / ranges[last - 1] - step) <= tolerance:
         return True
-    return u + 1 < inverse.shape[0] and abs(inverse[u + 1] - after - step) <= tolerance
+    return u + 1 < ranges.shape[0] and kinds[u + 1] != NOTHING and abs(1.0 / ranges[u + 1] - 1.0 / after - step) <= tolerance
 
 
 @kernel
@@ -126,10 +134,10 @@ def draw(
     """Draws the state image of one view, palette indices; row 0 is the far side of the arena.
 
     `ranges`, `kinds`, `fx` (px), `cx` (px) as of `scan_columns`; pose (m, m, rad) and the other's centre (m) in the arena
-    frame, the latter used where `other_seen`. Free is what lies between the robot and the columns' ends; a column without
-    return is unknown, thus invisible, except that a hole of at most `BRIDGED_COLUMNS` columns is drawn over: between
-    columns of like kind and range with what lies between them, otherwise free up to the nearer of the two. Boundary is
-    where a column ends on anything but the other robot. Ends beyond the arena are cut at its edge.
+    frame, the latter used where `other_seen`. Free is what lies between the robot and the columns' ends. A column without
+    return is unknown, thus invisible; but a hole of at most `BRIDGED_COLUMNS` columns is drawn over, straight where both
+    sides show one surface, otherwise each half like its side. Boundary is where a column ends on anything but the other
+    robot, and along the line between columns that show one surface. Ends beyond the arena are cut at its edge.
     """
     width = ranges.shape[0]
     center_x = x / PIXEL_SIZE
@@ -140,69 +148,46 @@ def draw(
     right_x = -ahead_y / fx
     right_y = ahead_x / fx
 
-    inverse = np.empty(width)  # 1 / range; 0 = nothing
-    surface = np.empty(width, np.uint8)
-    last = -1
-    for u in range(width):
-        kind = kinds[u]
-        surface[u] = kind
-        if kind == NOTHING:
-            inverse[u] = 0.0
-            continue
-        inverse[u] = 1.0 / max(ranges[u], 1e-3)
-        hole = u - last - 1
-        if 0 < hole <= BRIDGED_COLUMNS and last >= 0:
-            before = inverse[last]
-            after = inverse[u]
-            like = surface[last] == kind and abs(after - before) <= 0.06 * before * after + 0.03 * max(before, after)
-            for k in range(last + 1, u):
-                surface[k] = kind if like else ROBOT
-                inverse[k] = before + (after - before) * (k - last) / (hole + 1) if like else max(before, after)
-        last = u
-
     rows = np.zeros((_SIZE, 2), np.uint64)
     ends = np.empty((width, 2))
-    joined = np.zeros(width, np.bool_)
+    line_from = np.full(width, -1)  # the column from which the boundary runs on to this one
     pen_x = center_x
     pen_y = center_y
-    away = False
+    last = -1
     for u in range(width + 1):
-        shown = u < width and inverse[u] > 0.0
-        join = shown and away and _joined(inverse, u)
-        if not join:
-            # The borders between columns: out along the last one's end, and on at this one's.
-            sideways = u - 0.5 - cx
-            direction_x = ahead_x + sideways * right_x
-            direction_y = ahead_y + sideways * right_y
-            for border in range(u - 1, u + 1):
-                if (border == u and shown) or (border < u and away):
-                    reach = 1.0 / inverse[border]
-                    next_x = center_x + reach * direction_x
-                    next_y = center_y + reach * direction_y
-                    if inside:
-                        next_x, next_y = _cut(center_x, center_y, reach * direction_x, reach * direction_y)
-                    _toggle_edge(rows, pen_x, pen_y, next_x, next_y)
-                    pen_x = next_x
-                    pen_y = next_y
-            if away and not shown:
-                _toggle_edge(rows, pen_x, pen_y, center_x, center_y)
-                pen_x = center_x
-                pen_y = center_y
-        if shown:
-            reach = 1.0 / inverse[u]
-            offset_x = reach * (ahead_x + (u - cx) * right_x)
-            offset_y = reach * (ahead_y + (u - cx) * right_y)
-            next_x = center_x + offset_x
-            next_y = center_y + offset_y
-            if inside and not (0.0 <= next_x <= _SIZE and 0.0 <= next_y <= _SIZE):
-                next_x, next_y = _cut(center_x, center_y, offset_x, offset_y)
+        if u < width and kinds[u] == NOTHING:
+            continue
+        bridged = last >= 0 and u < width and u - last <= BRIDGED_COLUMNS + 1
+        if bridged and _joined(ranges, kinds, last, u):
+            if kinds[u] == kinds[last]:
+                line_from[u] = last
+        else:
+            # Borders between columns: out along the last one's end, (to the robot,) and on along this one's.
+            if last >= 0:
+                sideways = (0.5 * (last + u) if bridged else last + 0.5) - cx
+                next_x, next_y = _end(
+                    center_x, center_y, ranges[last], ahead_x + sideways * right_x, ahead_y + sideways * right_y, inside
+                )
+                _toggle_edge(rows, pen_x, pen_y, next_x, next_y)
+                pen_x, pen_y = next_x, next_y
+                if not bridged:
+                    _toggle_edge(rows, pen_x, pen_y, center_x, center_y)
+                    pen_x, pen_y = center_x, center_y
+            if u == width:
+                break
+            sideways = (0.5 * (last + u) if bridged else u - 0.5) - cx
+            next_x, next_y = _end(
+                center_x, center_y, ranges[u], ahead_x + sideways * right_x, ahead_y + sideways * right_y, inside
+            )
             _toggle_edge(rows, pen_x, pen_y, next_x, next_y)
-            pen_x = next_x
-            pen_y = next_y
-            ends[u, 0] = next_x
-            ends[u, 1] = next_y
-            joined[u] = join and surface[u] == surface[u - 1]
-        away = shown
+            pen_x, pen_y = next_x, next_y
+        sideways = u - cx
+        next_x, next_y = _end(center_x, center_y, ranges[u], ahead_x + sideways * right_x, ahead_y + sideways * right_y, inside)
+        _toggle_edge(rows, pen_x, pen_y, next_x, next_y)
+        pen_x, pen_y = next_x, next_y
+        ends[u, 0] = next_x
+        ends[u, 1] = next_y
+        last = u
 
     words = image_out.view(np.uint64)  # [128, 16]
     for row in range(_SIZE):
@@ -212,13 +197,13 @@ def draw(
                 words[row, 8 * half + k] = _PIXELS[(bits >> np.uint64(8 * k)) & np.uint64(255)]
 
     for u in range(width):
-        if surface[u] != SURFACE:
+        if kinds[u] != SURFACE:
             continue
         end_x = ends[u, 0]
         end_y = ends[u, 1]
-        if joined[u]:
-            step_x = end_x - ends[u - 1, 0]
-            step_y = end_y - ends[u - 1, 1]
+        if line_from[u] >= 0:
+            step_x = end_x - ends[line_from[u], 0]
+            step_y = end_y - ends[line_from[u], 1]
             pieces = int(max(abs(step_x), abs(step_y))) + 1
             for k in range(1, pieces):
                 _plot(image_out, end_x - step_x * k / pieces, end_y - step_y * k / pieces)
@@ -271,6 +256,8 @@ class Perceived:
     """Columns that show the other robot."""
     whole: bool
     """Whether all of the other robot is in view."""
+    camera: Intrinsics
+    """The camera that saw it."""
 
 
 _UNDRAWN: NDArray[np.uint8] = np.empty((0, 0), np.uint8)
@@ -284,7 +271,8 @@ def perceive(depth: DepthImage, color: ColorImage, pose: Pose, robot: Robot, dra
     height, width = depth.height, depth.width
     if color.height != height or color.width != width:
         raise ValueError(
-            f"colour ({color.width} x {color.height}) must be registered to depth ({width} x {height}): align them in the camera driver"
+            f"colour ({color.width} x {color.height}) must be registered to depth ({width} x {height}): "
+            "align them in the camera driver"
         )
     camera = depth.intrinsics
     ranges = np.empty(width)
@@ -307,4 +295,4 @@ def perceive(depth: DepthImage, color: ColorImage, pose: Pose, robot: Robot, dra
         draw,
         image,
     )
-    return Perceived(image, ranges, kinds, (other_x, other_y) if seen >= SEEN_COLUMNS else None, seen, whole)
+    return Perceived(image, ranges, kinds, (other_x, other_y) if seen >= SEEN_COLUMNS else None, seen, whole, camera)
