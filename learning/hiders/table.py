@@ -18,7 +18,9 @@ HIDERS: dict[str, Make] = {
     "random": lambda steps, generator, _: RandomPrimitives(steps, generator),
     "goal-walk": lambda steps, generator, _: GoalWalk(steps, generator),
     "scripted": lambda steps, generator, _: Evader(steps, generator, int(generator.choice(SKILLS))),
-    **{f"scripted-{skill}": (lambda steps, generator, _, skill=skill: Evader(steps, generator, skill)) for skill in SKILLS},
+    "scripted-1": lambda steps, generator, _: Evader(steps, generator, 1),
+    "scripted-2": lambda steps, generator, _: Evader(steps, generator, 2),
+    "scripted-3": lambda steps, generator, _: Evader(steps, generator, 3),
     "replay": Replay,
 }
 """(maximum steps, generator of the episode, recorded trajectories) -> policy."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,7 +129,7 @@ class Controller:
         if len(self._waypoints) == 0:
             return True
         points = [(x, y), *((row[0], row[1]) for row in self._waypoints[max(self._index, 1) :])]
-        for (from_x, from_y), (to_x, to_y) in zip(points, points[1:], strict=False):
+        for (from_x, from_y), (to_x, to_y) in pairwise(points):
             count = max(int(math.hypot(to_x - from_x, to_y - from_y) / search.CELL_SIZE), 1)
             for part in range(1, count + 1):
                 at_x, at_y = from_x + (to_x - from_x) * part / count, from_y + (to_y - from_y) * part / count

@@ -186,7 +186,7 @@ class PlannerCore:
         values = np.full(GOAL_COUNT, np.nan)
         values[list(pending.paths)] = values_of(caught.reshape(expected), self._settings.value)
         goal = choose_goal(values, pose.x, pose.y)
-        self._controller.go_to(*GOALS[goal].tolist(), pose.x, pose.y, heading)
+        self._controller.go_to(float(GOALS[goal, 0]), float(GOALS[goal, 1]), pose.x, pose.y, heading)
         self._pending = None
         self._plan = Plan(
             stamp=depth.stamp,

@@ -13,6 +13,7 @@ from services.referee.declaration import DECLARATION
 from vantage.service import SECOND, Arrived, Changed, Publish, Received, Send, Unexpected, Woken
 
 CATCH_TOLERANCE = 1e-9
+_RESTARTED = "the referee was restarted; the setup of this game has its seed and rules"
 
 
 @dataclass(frozen=True)
@@ -135,9 +136,7 @@ class RefereeCore:
         sends: list[Send] = []
         if self._left_behind > self._number:
             self._number = self._left_behind
-            sends.append(
-                self._episode("aborted", now, reason="the referee was restarted; the setup of this game has its seed and rules")
-            )
+            sends.append(self._episode("aborted", now, reason=_RESTARTED))
         sends.extend(self._begin_if_possible(now))
         return sends
 

@@ -1,0 +1,253 @@
+"""The service runtime: joins, counts, health, calls, in-process runs."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import permutations
+
+import pytest
+
+from schemas import Command, Episode, Health, Pose, PredictReply, PredictRequest, Tick
+from vantage.bus import InProcessNetwork, Sample, VirtualClock
+from vantage.service import (
+    SECOND,
+    Answer,
+    Answered,
+    Arrived,
+    Ask,
+    Asked,
+    Changed,
+    Declaration,
+    Publish,
+    Received,
+    Refuse,
+    Runtime,
+    Send,
+    StepJoin,
+    Unexpected,
+    Woken,
+    run_in_process,
+)
+
+KEYS = ("hider/pose", "tick")
+
+
+def pose(episode: int, step: int) -> Pose:
+    return Pose(stamp=step, episode=episode, step=step, x=0.1, y=0.2, heading=0.0)
+
+
+def tick(episode: int, step: int) -> Tick:
+    return Tick(stamp=step, episode=episode, step=step)
+
+
+@dataclass
+class Probe:
+    """A core that notes what it receives and does as told."""
+
+    declaration: Declaration
+    received: list[Received] = field(default_factory=list)
+    answers: list[Sequence[Send] | Exception] = field(default_factory=list)
+    wake: int | None = None
+
+    def step(self, received: Received, now: int) -> Sequence[Send]:
+        self.received.append(received)
+        if isinstance(received, Woken):
+            self.wake = None
+        answer = self.answers.pop(0) if self.answers else ()
+        if isinstance(answer, Exception):
+            raise answer
+        return answer
+
+    def wake_at(self) -> int | None:
+        return self.wake
+
+
+def network() -> InProcessNetwork:
+    return InProcessNetwork(clock=VirtualClock(5 * SECOND))
+
+
+def probe(bus: InProcessNetwork, name: str, **declared: tuple[str, ...]) -> tuple[Probe, Runtime]:
+    core = Probe(Declaration(name=name, **declared))  # type: ignore[arg-type]
+    return core, Runtime(core, bus.session(name), bus.clock, health=False)
+
+
+@pytest.mark.parametrize("order", list(permutations(range(4))))
+def test_join_completes_a_step_in_any_order(order: tuple[int, ...]) -> None:
+    join = StepJoin(KEYS)
+    join.begin(1)
+    messages = [("hider/pose", pose(1, 0)), ("tick", tick(1, 0)), ("hider/pose", pose(1, 1)), ("tick", tick(1, 1))]
+    if order.index(0) > order.index(2) or order.index(1) > order.index(3):
+        pytest.skip("one publisher's messages stay in order")
+    complete = [joined for index in order if (joined := join.add(*messages[index])) is not None]
+    assert complete[-1] == (pose(1, 1), tick(1, 1))
+    assert all(joined[0].step == joined[1].step for joined in complete)
+
+
+def test_join_keeps_messages_that_come_before_their_episode() -> None:
+    join = StepJoin(KEYS)
+    join.begin(1)
+    assert join.add("hider/pose", pose(2, 0)) is None
+    assert join.add("tick", tick(2, 0)) is None
+    assert join.begin(2) == (pose(2, 0), tick(2, 0))
+
+
+def test_join_refuses_the_past_and_doubles() -> None:
+    join = StepJoin(KEYS)
+    join.begin(3)
+    join.add("tick", tick(3, 0))
+    with pytest.raises(Unexpected, match="twice"):
+        join.add("tick", tick(3, 0))
+    join.add("hider/pose", pose(3, 0))
+    with pytest.raises(Unexpected, match="late"):
+        join.add("tick", tick(3, 0))
+    with pytest.raises(Unexpected, match="late"):
+        join.add("tick", tick(2, 5))
+
+
+def test_join_is_bounded_against_a_flood_of_strangers() -> None:
+    join = StepJoin(KEYS)
+    join.begin(1)
+    for step in range(10_000):
+        join.add("tick", tick(99, step))
+    assert len(join._waiting) <= StepJoin.EARLY + 1
+
+
+def test_a_core_that_raises_is_counted_and_goes_on() -> None:
+    bus = network()
+    core, runtime = probe(bus, "seeker", inputs=("tick",), outputs=("seeker/command",))
+    referee = bus.session("referee")
+    command = Command(stamp=1, primitive="stay")
+    core.answers = [Unexpected("odd"), RuntimeError("broken"), (Publish("seeker/command", command),)]
+    listener = bus.session("console")
+    listener.subscribe("seeker/command")
+    for step in range(3):
+        referee.publish("tick", tick(1, step))
+    runtime.drain()
+    health = runtime.health_report("ok")
+    assert (health.unexpected, health.failed) == (1, 1)
+    assert "broken" in health.reason
+    sample = listener.receive(0.0)
+    assert isinstance(sample, Sample)
+    assert sample.decode() == command
+
+
+def test_an_output_that_is_not_declared_is_refused() -> None:
+    bus = network()
+    core, runtime = probe(bus, "seeker", inputs=("tick",), outputs=())
+    core.answers = [(Publish("seeker/command", Command(stamp=1, primitive="stay")),)]
+    bus.session("referee").publish("tick", tick(1, 0))
+    runtime.drain()
+    assert runtime.health_report("ok").failed == 1
+
+
+def test_declaring_an_unknown_key_is_refused() -> None:
+    with pytest.raises(ValueError, match="nowhere"):
+        Declaration(name="seeker", inputs=("nowhere",))
+
+
+def test_health_names_the_stale_topic_its_publisher_age_and_rate() -> None:
+    bus = network()
+    _, runtime = probe(bus, "seeker", inputs=("episode", "tick"))
+    referee = bus.session("referee")
+    referee.publish("episode", Episode(stamp=1, episode=1, seed=1, phase="running"))
+    referee.publish("tick", tick(1, 0))
+    runtime.drain()
+    assert runtime.health_report("ok").state == "ok"
+    bus.clock.advance(4.2)  # type: ignore[attr-defined]
+    health = runtime.health_report("ok")
+    assert health.state == "degraded"
+    assert "tick from referee is 4.2 s old, expected 4 a second" in health.reason
+    assert {entry.key: entry.stale for entry in health.inputs} == {"episode": False, "tick": True}
+
+
+def test_health_is_published_once_a_second() -> None:
+    bus = network()
+    core = Probe(Declaration(name="seeker", outputs=("health/seeker",)))
+    runtime = Runtime(core, bus.session("seeker"), bus.clock)
+    listener = bus.session("console")
+    listener.subscribe("health/*")
+    for _ in range(30):
+        runtime.turn(0.0)
+        bus.clock.advance(0.1)  # type: ignore[attr-defined]
+    reports = []
+    while (event := listener.receive(0.0)) is not None:
+        assert isinstance(event, Sample)
+        reports.append(event.decode())
+    assert len(reports) == 3
+    assert all(isinstance(report, Health) and report.service == "seeker" for report in reports)
+
+
+def test_heeded_services_are_reported_to_the_core_and_in_health() -> None:
+    bus = network()
+    core, runtime = probe(bus, "referee", heeds=("seeker",))
+    assert "seeker is not alive" in runtime.health_report("ok").reason
+    seeker = bus.session("seeker")
+    runtime.drain()
+    seeker.close()
+    runtime.drain()
+    assert core.received == [Changed("seeker", True), Changed("seeker", False)]
+
+
+def request() -> PredictRequest:
+    return PredictRequest(stamp=1, state_image=bytes(128 * 128), path_count=1, path_steps=1, paths=bytes(8), horizons=(0,))
+
+
+def test_calls_travel_through_both_runtimes() -> None:
+    bus = network()
+    server_core, server = probe(bus, "predictor", serves=("predictor",))
+    client_core, client = probe(bus, "planner", inputs=("tick",), calls=("predictor",))
+    reply = PredictReply(stamp=1, caught=bytes(4))
+    client_core.answers = [(Ask("predictor", request(), 1.0, 77),)]
+    server_core.answers = [()]
+    bus.session("referee").publish("tick", tick(1, 0))
+    client.drain()
+    server.drain()
+    asked = server_core.received[-1]
+    assert isinstance(asked, Asked)
+    server_core.answers = [(Answer(asked.token, reply),)]
+    server_core.wake = 0
+    server.drain()
+    client.drain()
+    assert client_core.received[-1] == Answered("predictor", 77, reply, "")
+
+
+def test_a_refused_call_brings_its_reason() -> None:
+    bus = network()
+    server_core, server = probe(bus, "predictor", serves=("predictor",))
+    client_core, client = probe(bus, "planner", inputs=("tick",), calls=("predictor",))
+    client_core.answers = [(Ask("predictor", request(), 1.0, 1),)]
+    bus.session("referee").publish("tick", tick(1, 0))
+    client.drain()
+    server_core.step = lambda received, now: (Refuse(received.token, "too busy"),)  # type: ignore
+    server.drain()
+    client.drain()
+    answered = client_core.received[-1]
+    assert isinstance(answered, Answered) and answered.reply is None and "too busy" in answered.error
+
+
+def test_run_in_process_jumps_to_the_next_wake_and_complains_when_all_are_idle() -> None:
+    bus = network()
+    core, runtime = probe(bus, "seeker")
+    core.wake = 1000 * SECOND
+    run_in_process(bus, [runtime], lambda: bool(core.received))
+    assert bus.clock() == 1000 * SECOND
+    with pytest.raises(RuntimeError, match="idle"):
+        run_in_process(bus, [runtime], lambda: False)
+
+
+def test_malformed_messages_are_counted_by_topic() -> None:
+    bus = InProcessNetwork(clock=VirtualClock(0), checked=True)
+    core, runtime = probe(bus, "seeker", inputs=("seeker/pose",))
+    bus.session("simulator").publish("seeker/pose", Pose(stamp=1, x=1e9, y=0.0, heading=0.0))
+    runtime.drain()
+    health = runtime.health_report("ok")
+    assert core.received == []
+    assert health.inputs[0].malformed == 1
+    assert "seeker/pose from simulator was malformed" in health.reason
+
+
+def test_arrived_messages_reach_the_core() -> None:
+    bus = network()
+    core, runtime = probe(bus, "seeker", inputs=("tick",))
+    bus.session("referee").publish("tick", tick(4, 2))
+    runtime.drain()
+    assert core.received == [Arrived("tick", tick(4, 2))]
