@@ -78,10 +78,10 @@ def observe(
     # The box around the triangle that the camera sees.
     left_x, left_y = x + farthest * (cosine + left_edge * sine), y + farthest * (sine - left_edge * cosine)
     right_x, right_y = x + farthest * (cosine + right_edge * sine), y + farthest * (sine - right_edge * cosine)
-    first_column = max(int(math.ceil(min(x, left_x, right_x) / CELL_SIZE)), 0)
-    last_column = min(int(math.floor(max(x, left_x, right_x) / CELL_SIZE)), CELLS - 1)
-    first_row = max(int(math.ceil(min(y, left_y, right_y) / CELL_SIZE)), 0)
-    last_row = min(int(math.floor(max(y, left_y, right_y) / CELL_SIZE)), CELLS - 1)
+    first_column = max(math.ceil(min(x, left_x, right_x) / CELL_SIZE), 0)
+    last_column = min(math.floor(max(x, left_x, right_x) / CELL_SIZE), CELLS - 1)
+    first_row = max(math.ceil(min(y, left_y, right_y) / CELL_SIZE), 0)
+    last_row = min(math.floor(max(y, left_y, right_y) / CELL_SIZE), CELLS - 1)
     for row in range(first_row, last_row + 1):
         away_y = row * CELL_SIZE - y
         for cell_column in range(first_column, last_column + 1):
@@ -103,8 +103,8 @@ def observe(
             continue
         ahead = ranges[column]
         right = ahead * (column - cx) / fx
-        hit_column = int(math.floor((x + ahead * cosine + right * sine) / CELL_SIZE + 0.5))
-        hit_row = int(math.floor((y + ahead * sine - right * cosine) / CELL_SIZE + 0.5))
+        hit_column = math.floor((x + ahead * cosine + right * sine) / CELL_SIZE + 0.5)
+        hit_row = math.floor((y + ahead * sine - right * cosine) / CELL_SIZE + 0.5)
         if 0 <= hit_row < CELLS and 0 <= hit_column < CELLS:
             added += occupancy[hit_row, hit_column] != BOUNDARY
             occupancy[hit_row, hit_column] = BOUNDARY
@@ -115,7 +115,7 @@ def observe(
 @kernel
 def block(occupancy: npt.NDArray[np.uint8], clearance: float, blocked_out: npt.NDArray[np.bool_]) -> None:
     """`blocked` into an array bool [48, 48] of the caller's."""
-    reach = int(math.ceil(clearance / CELL_SIZE))
+    reach = math.ceil(clearance / CELL_SIZE)
     for row in range(CELLS):
         near_wall = row * CELL_SIZE < clearance - 1e-9 or ARENA_SIZE - row * CELL_SIZE < clearance - 1e-9
         for column in range(CELLS):

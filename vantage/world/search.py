@@ -31,21 +31,21 @@ from vantage.world.arena import (
 CELLS = 48
 CELL_SIZE = 0.025
 CLEARANCE = ROBOT_RADIUS + 0.020
-"""Distance kept from seen boundary cells and walls, m: the robot, 9 mm that `follow` may stray from the line, 2 mm that a
-line sinks between two free cells, and 9 mm of the half cell by which a boundary cell's centre may miss the surface. More
+"""Distance kept from seen boundary cells and walls, m: the robot, 8 mm that `follow` may stray from the line, 2 mm that a
+line sinks between two free cells, and 10 mm of the half cell by which a boundary cell's centre may miss the surface. More
 would close the gaps between boxes."""
 
 ARRIVED = 0.005  # m of a segment left, at or below which the next one begins
-STRAY = 0.008  # m beside the line, beyond which `follow` steers back
+STRAY = 0.007  # m beside the line, beyond which `follow` steers back
 SETTLED = 0.001  # m beside the line, at or below which steering back ends
 COST_SCALE = 100  # costs are integers of a hundredth of a step
 STRAIGHT_COST, DIAGONAL_COST, TURN_COST = 250, 354, 450
-ESCAPE_CELLS = 3  # a robot that stands too near to something may cross blocked cells this far from its own ...
-ESCAPE_FACTOR = 3  # ... at this multiple of their cost
+ESCAPE_CELLS = 3  # a robot that stands too near to something may cross blocked cells this far from its own, straight ...
+ESCAPE_FACTOR = 3  # ... towards the nearest free cell, at this multiple of their cost
 
 _HEADINGS = 8
 _STATES = CELLS * CELLS * _HEADINGS
-_BUCKETS = 2048  # more than the largest difference between two keys in the queue: half a turn, or an escaping diagonal
+_BUCKETS = 4096  # a power of two, more than the largest difference between two keys in the queue (half a turn and two)
 _UNREACHED = 2**30
 _ROW_STEP = np.array([0, 1, 1, 1, 0, -1, -1, -1])
 _COLUMN_STEP = np.array([1, 1, 0, -1, -1, -1, 0, 1])
@@ -71,37 +71,57 @@ class Tree(NamedTuple):
 @kernel
 def cell_of(coordinate: float) -> int:
     """Return the row or column of the cell that holds a coordinate (m); outside the grid the nearest one."""
-    return min(max(int(math.floor(coordinate / CELL_SIZE + 0.5)), 0), CELLS - 1)
+    return min(max(math.floor(coordinate / CELL_SIZE + 0.5), 0), CELLS - 1)
 
 
 @kernel
-def _remaining(state, goal_row, goal_column):  # type: ignore[no-untyped-def]
+def _remaining(state, goal_row, goal_column, reverse_allowed):  # type: ignore[no-untyped-def]
+    """Return a consistent lower bound of the cost to the goal cell: the free distance, and the turns that no way can avoid.
+
+    At least one turn unless the goal lies straight along the heading; and as many as bring the goal ahead of (or, in
+    reverse, behind) the robot, for driving away from the goal never brings it there.
+    """
     if goal_row < 0:
         return 0
-    cell = state // _HEADINGS
-    rows, columns = abs(cell // CELLS - goal_row), abs(cell % CELLS - goal_column)
-    short, long = min(rows, columns), max(rows, columns)
-    return DIAGONAL_COST * short + STRAIGHT_COST * (long - short)
+    cell, direction = state >> 3, state & 7
+    row = cell // CELLS
+    rows, columns = goal_row - row, goal_column - (cell - row * CELLS)
+    if rows == 0 and columns == 0:
+        return 0
+    short, long = min(abs(rows), abs(columns)), max(abs(rows), abs(columns))
+    ahead, beside = _ROW_STEP[direction], _COLUMN_STEP[direction]
+    along = rows * ahead + columns * beside
+    turns = 0
+    if rows * beside != columns * ahead or (along < 0 and not reverse_allowed):
+        turns = 1
+        if along <= 0 and not reverse_allowed:
+            for turned in (1, 7):
+                other = (direction + turned) & 7
+                if rows * _ROW_STEP[other] + columns * _COLUMN_STEP[other] > 0:
+                    break
+            else:
+                turns = 2
+    return DIAGONAL_COST * short + STRAIGHT_COST * (long - short) + TURN_COST * turns
 
 
 @kernel
-def _relax(state, cost, before, goal_row, goal_column, costs, parents, heads, nexts, previous):  # type: ignore[no-untyped-def]
+def _relax(state, cost, before, goal_row, goal_column, reverse_allowed, costs, parents, heads, nexts, previous):  # type: ignore[no-untyped-def]
     """Offer a cheaper way to `state`; the queue is an array of doubly linked lists, one a key modulo _BUCKETS."""
     old = costs[state]
     if cost >= old:
         return 0
-    estimate = _remaining(state, goal_row, goal_column)
+    estimate = _remaining(state, goal_row, goal_column, reverse_allowed)
     added = 1
     if old < _UNREACHED:
         after, ahead = nexts[state], previous[state]
         if ahead >= 0:
             nexts[ahead] = after
         else:
-            heads[(old + estimate) % _BUCKETS] = after
+            heads[(old + estimate) & (_BUCKETS - 1)] = after
         if after >= 0:
             previous[after] = ahead
         added = 0
-    bucket = (cost + estimate) % _BUCKETS
+    bucket = (cost + estimate) & (_BUCKETS - 1)
     costs[state], parents[state] = cost, before
     head = heads[bucket]
     nexts[state], previous[state] = head, -1
@@ -109,6 +129,30 @@ def _relax(state, cost, before, goal_row, goal_column, costs, parents, heads, ne
         previous[head] = state
     heads[bucket] = state
     return added
+
+
+@kernel
+def _escape_depths(blocked, start_row, start_column):  # type: ignore[no-untyped-def]
+    """Return the squared distance (cells) to the nearest free cell for the cells around a blocked start, else nothing."""
+    if not blocked[start_row, start_column]:
+        return np.empty((0, 0), np.int64)
+    size = 2 * ESCAPE_CELLS + 1
+    depths = np.full((size, size), _UNREACHED)
+    for row in range(max(start_row - 2 * ESCAPE_CELLS, 0), min(start_row + 2 * ESCAPE_CELLS + 1, CELLS)):
+        for column in range(max(start_column - 2 * ESCAPE_CELLS, 0), min(start_column + 2 * ESCAPE_CELLS + 1, CELLS)):
+            if not blocked[row, column]:
+                for i in range(size):
+                    for j in range(size):
+                        rows, columns = start_row + i - ESCAPE_CELLS - row, start_column + j - ESCAPE_CELLS - column
+                        depths[i, j] = min(depths[i, j], rows * rows + columns * columns)
+    return depths
+
+
+@kernel
+def _depth(depths, rows, columns):  # type: ignore[no-untyped-def]
+    if max(abs(rows), abs(columns)) > ESCAPE_CELLS or len(depths) == 0:
+        return _UNREACHED
+    return depths[rows + ESCAPE_CELLS, columns + ESCAPE_CELLS]
 
 
 @kernel
@@ -125,10 +169,13 @@ def _search(blocked, x, y, heading, goal_row, goal_column, reverse_allowed):  # 
     for direction in range(_HEADINGS):
         turn = abs((45 * direction - 10 * heading + 180) % 360 - 180)
         cost = COST_SCALE * ((turn + 4) // 10)  # `follow` drives from 5 degrees of error on
-        waiting += _relax(start + direction, cost, -1, goal_row, goal_column, costs, parents, heads, nexts, previous)
-    key = _remaining(start, goal_row, goal_column)
+        waiting += _relax(
+            start + direction, cost, -1, goal_row, goal_column, reverse_allowed, costs, parents, heads, nexts, previous
+        )
+    escape = _escape_depths(blocked, start_row, start_column)
+    key = 0
     while waiting > 0:
-        bucket = key % _BUCKETS
+        bucket = key & (_BUCKETS - 1)
         state = heads[bucket]
         if state < 0:
             key += 1
@@ -138,27 +185,33 @@ def _search(blocked, x, y, heading, goal_row, goal_column, reverse_allowed):  # 
         if after >= 0:
             previous[after] = -1
         waiting -= 1
-        cell, direction = state // _HEADINGS, state % _HEADINGS
-        row, column = cell // CELLS, cell % CELLS
+        cell, direction = state >> 3, state & 7
+        row = cell // CELLS
+        column = cell - row * CELLS
         if row == goal_row and column == goal_column:
             return costs, parents, state
         cost = costs[state]
         for turned in (1, _HEADINGS - 1):
-            other = cell * _HEADINGS + (direction + turned) % _HEADINGS
-            waiting += _relax(other, cost + TURN_COST, state, goal_row, goal_column, costs, parents, heads, nexts, previous)
+            other = cell * _HEADINGS + ((direction + turned) & 7)
+            waiting += _relax(
+                other, cost + TURN_COST, state, goal_row, goal_column, reverse_allowed, costs, parents, heads, nexts, previous
+            )
         for gear in range(2 if reverse_allowed else 1):
-            travel = (direction + 4 * gear) % _HEADINGS
+            travel = (direction + 4 * gear) & 7
             next_row, next_column = row + _ROW_STEP[travel], column + _COLUMN_STEP[travel]
             if next_row < 0 or next_row >= CELLS or next_column < 0 or next_column >= CELLS:
                 continue
             step_cost = DIAGONAL_COST if travel % 2 else STRAIGHT_COST
             if blocked[next_row, next_column]:
-                far = max(abs(next_row - start_row), abs(next_column - start_column)) > ESCAPE_CELLS
-                if far or not blocked[row, column]:
+                if not blocked[row, column] or _depth(escape, row - start_row, column - start_column) <= _depth(
+                    escape, next_row - start_row, next_column - start_column
+                ):
                     continue
                 step_cost *= ESCAPE_FACTOR
             other = (next_row * CELLS + next_column) * _HEADINGS + direction
-            waiting += _relax(other, cost + step_cost, state, goal_row, goal_column, costs, parents, heads, nexts, previous)
+            waiting += _relax(
+                other, cost + step_cost, state, goal_row, goal_column, reverse_allowed, costs, parents, heads, nexts, previous
+            )
     return costs, parents, -1
 
 
@@ -169,9 +222,9 @@ def _runs(parents, state, waypoints):  # type: ignore[no-untyped-def]
     count, last_travel, last_gear = 0, -1, 0
     while parents[state] >= 0:
         before = parents[state]
-        cell, cell_before = state // _HEADINGS, before // _HEADINGS
+        cell, cell_before = state >> 3, before >> 3
         if cell != cell_before:
-            direction = state % _HEADINGS
+            direction = state & 7
             gear = 1
             row, column = cell // CELLS, cell % CELLS
             if row - cell_before // CELLS != _ROW_STEP[direction] or column - cell_before % CELLS != _COLUMN_STEP[direction]:
@@ -228,7 +281,7 @@ def _path_to(costs, parents, x, y, reverse_allowed, goal_x, goal_y):  # type: ig
     for state in range(start + 1, start + _HEADINGS):
         if costs[state] < costs[nearest]:
             nearest = state
-    return _waypoints(parents, end, x, y, goal_x, goal_y, reverse_allowed, int(round(4.5 * (nearest - start))))
+    return _waypoints(parents, end, x, y, goal_x, goal_y, reverse_allowed, round(4.5 * (nearest - start)))
 
 
 def shortest_path_tree(blocked: npt.NDArray[np.bool_], x: float, y: float, heading: int, reverse_allowed: bool) -> Tree:
