@@ -1,0 +1,65 @@
+"""The `vantage` command: quick, complete, and clear when something is wrong."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from vantage import cli
+
+VANTAGE = Path(sys.executable).parent / "vantage"
+
+
+def run(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([VANTAGE, *words], capture_output=True, text=True, check=False)
+
+
+def test_help_is_quick_and_names_every_command() -> None:
+    durations = []
+    for _ in range(3):
+        started = time.perf_counter()
+        outcome = run("--help")
+        durations.append(time.perf_counter() - started)
+    assert min(durations) < 0.3
+    assert outcome.returncode == 0
+    for command in cli.COMMANDS:
+        assert command.words in outcome.stdout
+
+
+@pytest.mark.parametrize("command", cli.COMMANDS, ids=lambda command: command.words)
+def test_every_command_exists_and_explains_itself(command: cli.Command) -> None:
+    outcome = run(*command.words.split(), "--help")
+    assert outcome.returncode == 0, outcome.stderr
+    assert f"usage: vantage {command.words}" in outcome.stdout
+    assert f"vantage {command.words}" in outcome.stdout.partition("\n")[2], "the help shows no example"
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("fly",), "no command `fly`"),
+        (("train",), "vantage train vpt-tob"),
+        (("up", "moon"), "no deployment `moon`; there is: simulation"),
+        (("up", "--with", "seeker"), 'NAME="ARGUMENTS"'),
+        (("up", "--with", "pilot=--x"), "no such service in this deployment: pilot"),
+        (("up", "--folder", "/tmp/" + "long" * 30), "too long for unix sockets"),
+        (("status", "--folder", "/tmp/vantage-nobody-is-here"), "vantage up simulation"),
+        (("logs", "pilot"), "no service `pilot`"),
+        (("play", "--folder", "/tmp/vantage-nobody-is-here"), "vantage up simulation"),
+    ],
+)
+def test_mistakes_are_answered_in_one_readable_text(words: tuple[str, ...], told: str) -> None:
+    outcome = run(*words)
+    assert outcome.returncode in (1, 2)
+    assert told in outcome.stderr
+    assert "Traceback" not in outcome.stderr
+
+
+def test_down_is_content_when_nothing_is_up() -> None:
+    outcome = run("down", "--folder", "/tmp/vantage-nobody-is-here")
+    assert outcome.returncode == 0
+    assert "was not up" in outcome.stdout
