@@ -31,7 +31,7 @@ STEP_LENGTH: Final = 0.010
 """Length of one `forward` or `backward`, m."""
 
 HEADINGS: Final = 36
-TURN: Final = 2.0 * math.pi / HEADINGS
+TURN: Final = math.radians(10.0)
 """Angle of one `left` or `right`, rad (10 degrees)."""
 
 CATCH_DISTANCE: Final = 0.150

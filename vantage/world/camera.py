@@ -110,8 +110,8 @@ class Camera:
 def directions(camera: Camera) -> tuple[Floats, Floats]:
     """Slopes of a camera's columns to the right, float64 [W], and of its rows downward, float64 [H], per unit of depth."""
     pinhole = camera.intrinsics()
-    rightward: Floats = (np.arange(camera.width) - pinhole.cx) / pinhole.fx
-    downward: Floats = (np.arange(camera.height) - pinhole.cy) / pinhole.fy
+    rightward = (np.arange(camera.width, dtype=np.float64) - pinhole.cx) / np.float64(pinhole.fx)
+    downward = (np.arange(camera.height, dtype=np.float64) - pinhole.cy) / np.float64(pinhole.fy)
     rightward.setflags(write=False)
     downward.setflags(write=False)
     return rightward, downward

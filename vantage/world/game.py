@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from vantage.compiled import kernel
-from vantage.world.arena import HIDER, SEEKER, TURN
+from vantage.world.arena import HIDER, SEEKER
 from vantage.world.camera import render_picture
-from vantage.world.motion import apply_primitive, discs_overlap
+from vantage.world.motion import apply_primitive, discs_overlap, heading_radians
 
 Floats = npt.NDArray[np.float64]
 
@@ -94,7 +94,7 @@ def render_both(
             depth,
             poses[robot, 0],
             poses[robot, 1],
-            poses[robot, 2] * TURN,
+            heading_radians(int(poses[robot, 2])),
             poses[other, 0],
             poses[other, 1],
             other,

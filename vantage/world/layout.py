@@ -23,10 +23,13 @@ RANDOM_HALF_SIDE_MAXIMUM = 0.120
 MINIMUM_GAP = 0.150
 """Free space between boxes, and between boxes and walls, m: a robot (130 mm) passes everywhere."""
 
+RANDOM_ATTEMPTS = 100_000
 _DRAWS_PER_BOX = 16
 
+Floats = npt.NDArray[np.float64]
 
-class ImpossibleLayout(ValueError):  # noqa: N818 - the condition, not the mishap
+
+class ImpossibleLayout(ValueError):
     """A layout nobody can play in; the text says what is wrong and what to do."""
 
 
@@ -44,19 +47,19 @@ LAB: tuple[Box, ...] = (
 """Three boxes with a hiding place behind each, all gaps at least 150 mm."""
 
 
-def boxes_of(layout: Layout) -> npt.NDArray[np.float64]:
+def boxes_of(layout: Layout) -> Floats:
     """The obstacles of a layout as the kernels want them: float64 [n, 7] = x, y, half_width, half_depth, cos, sin, height."""
     return boxes_array(layout.obstacles)
 
 
-def boxes_array(obstacles: tuple[Box, ...]) -> npt.NDArray[np.float64]:
+def boxes_array(obstacles: tuple[Box, ...]) -> Floats:
     """As `boxes_of`, from the obstacles alone."""
     rows = [(b.x, b.y, b.half_width, b.half_depth, math.cos(b.heading), math.sin(b.heading), b.height) for b in obstacles]
     return np.array(rows, dtype=np.float64).reshape(len(rows), 7)
 
 
 @kernel
-def _corner(boxes: npt.NDArray[np.float64], index: int, corner: int) -> tuple[float, float]:
+def _corner(boxes: Floats, index: int, corner: int) -> tuple[float, float]:
     local_x = boxes[index, 2] if corner & 1 else -boxes[index, 2]
     local_y = boxes[index, 3] if corner & 2 else -boxes[index, 3]
     cosine = boxes[index, 4]
@@ -65,7 +68,7 @@ def _corner(boxes: npt.NDArray[np.float64], index: int, corner: int) -> tuple[fl
 
 
 @kernel
-def wall_gap(boxes: npt.NDArray[np.float64], index: int, width: float, depth: float) -> float:
+def wall_gap(boxes: Floats, index: int, width: float, depth: float) -> float:
     """Distance of a box from the nearest wall, m; negative when it reaches through."""
     gap = np.inf
     for corner in range(4):
@@ -75,7 +78,7 @@ def wall_gap(boxes: npt.NDArray[np.float64], index: int, width: float, depth: fl
 
 
 @kernel
-def box_gap(boxes: npt.NDArray[np.float64], first: int, second: int) -> float:
+def box_gap(boxes: Floats, first: int, second: int) -> float:
     """Distance between two boxes, m; 0 when a corner of one lies in the other.
 
     (Two disjoint rectangles are nearest at a corner of one of them.)
@@ -90,19 +93,21 @@ def box_gap(boxes: npt.NDArray[np.float64], first: int, second: int) -> float:
 
 
 @kernel
-def draw_boxes(seed: int, width: float, depth: float, boxes_out: npt.NDArray[np.float64]) -> None:
-    """Draw the layout `random` of a seed into float64 [n, 7], all boxes anew until every gap is wide enough."""
+def draw_boxes(seed: int, width: float, depth: float, boxes_out: Floats, headings_out: Floats) -> bool:
+    """Draw the layout `random` of a seed into float64 [n, 7] and float64 [n] (rad): all boxes anew until every gap is wide.
+
+    Returns False when too many draws failed (too many boxes, or too small an arena).
+    """
     span = RANDOM_HALF_SIDE_MAXIMUM - RANDOM_HALF_SIDE_MINIMUM
-    attempt = 0
-    while True:
+    for attempt in range(RANDOM_ATTEMPTS):
         wide_enough = True
         for index in range(boxes_out.shape[0]):
             draw = _DRAWS_PER_BOX * index
-            angle = uniform(seed, LAYOUT_STREAM, attempt, draw) * 2.0 * math.pi
+            heading = math.pi * uniform(seed, LAYOUT_STREAM, attempt, draw)
             half_width = RANDOM_HALF_SIDE_MINIMUM + span * uniform(seed, LAYOUT_STREAM, attempt, draw + 1)
             half_depth = RANDOM_HALF_SIDE_MINIMUM + span * uniform(seed, LAYOUT_STREAM, attempt, draw + 2)
-            cosine = math.cos(angle)
-            sine = math.sin(angle)
+            cosine = math.cos(heading)
+            sine = math.sin(heading)
             reach_x = abs(cosine) * half_width + abs(sine) * half_depth + MINIMUM_GAP
             reach_y = abs(sine) * half_width + abs(cosine) * half_depth + MINIMUM_GAP
             boxes_out[index, 0] = reach_x + (width - 2.0 * reach_x) * uniform(seed, LAYOUT_STREAM, attempt, draw + 3)
@@ -112,27 +117,23 @@ def draw_boxes(seed: int, width: float, depth: float, boxes_out: npt.NDArray[np.
             boxes_out[index, 4] = cosine
             boxes_out[index, 5] = sine
             boxes_out[index, 6] = BOX_HEIGHT
+            headings_out[index] = heading
             for other in range(index):
                 # Boxes that cross without a corner inside stick out by at most 70 mm, less than the gap: refused too.
                 wide_enough = wide_enough and box_gap(boxes_out, index, other) >= MINIMUM_GAP
         if wide_enough:
-            return
-        attempt += 1
+            return True
+    return False
 
 
 def _random_layout(seed: int) -> tuple[Box, ...]:
-    rows = np.empty((RANDOM_BOX_COUNT, 7))
-    draw_boxes(seed, ARENA_SIZE, ARENA_SIZE, rows)
+    boxes = np.empty((RANDOM_BOX_COUNT, 7))
+    headings = np.empty(RANDOM_BOX_COUNT)
+    if not draw_boxes(seed, ARENA_SIZE, ARENA_SIZE, boxes, headings):
+        raise ImpossibleLayout(f"no random layout found for seed {seed}; take another seed")
     return tuple(
-        Box(
-            x=float(row[0]),
-            y=float(row[1]),
-            half_width=float(row[2]),
-            half_depth=float(row[3]),
-            heading=math.atan2(row[5], row[4]),
-            height=float(row[6]),
-        )
-        for row in rows
+        Box(x=x, y=y, half_width=half_width, half_depth=half_depth, heading=heading, height=height)
+        for (x, y, half_width, half_depth, _, _, height), heading in zip(boxes.tolist(), headings.tolist(), strict=True)
     )
 
 
@@ -183,7 +184,7 @@ def check_layout(obstacles: tuple[Box, ...], width: float, depth: float) -> None
 
 
 @kernel
-def _has_room(boxes: npt.NDArray[np.float64], width: float, depth: float) -> bool:
+def _has_room(boxes: Floats, width: float, depth: float) -> bool:
     spacing = 0.01
     for row in range(int(depth / spacing)):
         for column in range(int(width / spacing)):

@@ -33,8 +33,9 @@ TOUCHING = 1e-9
 
 @kernel
 def heading_radians(heading: int) -> float:
-    """Heading number (any integer) -> rad in [0, 2 pi)."""
-    return (heading % HEADINGS) * TURN
+    """Heading number (any integer) -> rad in [-pi, pi], as poses carry it on the bus."""
+    angle = (heading % HEADINGS) * TURN
+    return angle - 2.0 * math.pi if angle > math.pi else angle
 
 
 @kernel
