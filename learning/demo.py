@@ -1,0 +1,172 @@
+"""`vantage demo`: start everything, play one game, draw it, stop everything."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+
+from learning.picture import VIEW_INTERVAL, Game, draw, read_game
+from schemas import Control, Episode, Message, Plan, Players, PredictReply, PredictRequest, Rules, StateImage, Tick
+from vantage.bus import Bus, Reply, Sample
+from vantage.deployment import Deployment, DeploymentError
+from vantage.watch import HealthWatch
+
+console = Console(highlight=False)
+
+_PATIENCE = 60.0
+
+
+@dataclass(frozen=True)
+class DemoSettings:
+    """Play one game with all services and trained networks, record it and draw it.
+
+    Examples:
+      vantage demo
+      vantage demo --seed 12 --seeker expert --layout lab
+    """
+
+    seed: int = 7
+    """Seed of the game: layout, start, camera noise, exploration."""
+    layout: str = "random"
+    """Arena: `random`, `lab`, or the path of a layout file."""
+    seeker: str = "glancing"
+    """Preset of the seeker: `glancing` or `expert`."""
+    steps: int = 100
+    """Steps that the hider has to survive."""
+    period: float = 0.25
+    """Seconds a step takes; 0 = as fast as possible."""
+    to: Path = Path("demo")
+    """Folder for the log and the picture."""
+    folder: Path | None = None
+    """Private runtime folder; default /tmp/vantage-USERID/simulation."""
+
+
+def main(settings: DemoSettings) -> int:
+    """Run the demo. Returns the exit code."""
+    from vantage.bus.zenoh_bus import ZenohBus
+
+    started = time.monotonic()
+    deployment = Deployment("simulation", settings.folder)
+    before = set(settings.to.glob("*.mcap"))
+    console.print("1/5 starting the services ...")
+    deployment.start(settings.to, {})
+    try:
+        with ZenohBus("command-line", deployment.folder) as bus:
+            count = _wait_until_healthy(deployment, bus)
+            console.print(f"    {count} services are healthy after {time.monotonic() - started:.1f} s")
+            episode = _play(bus, settings, started)
+            # What was said last is on its way to the recorder, which flushes each second.
+            time.sleep(0.5)
+    finally:
+        deployment.stop()
+    logs = sorted(set(settings.to.glob("*.mcap")) - before)
+    if not logs:
+        raise DeploymentError(f"the recorder left no log in {settings.to}: see {deployment.log_of('recorder')}")
+    console.print("5/5 drawing the picture from the log ...")
+    game: Game = read_game(logs[-1])
+    picture = logs[-1].with_suffix(".png")
+    draw(game, picture)
+    ending = {
+        "caught": f"the seeker caught the hider at step {episode.caught_step}",
+        "survived": f"the hider survived all {episode.rules.maximum_steps} steps",
+    }
+    console.print(f"\noutcome  {ending.get(episode.outcome, f'the game was aborted: {episode.reason}')}")
+    console.print(f"log      {logs[-1]}   (look inside: vantage log info {logs[-1]})", soft_wrap=True)
+    console.print(f"picture  {picture}", soft_wrap=True)
+    return 0 if episode.phase == "ended" else 1
+
+
+def _wait_until_healthy(deployment: Deployment, bus: Bus) -> int:
+    watch = HealthWatch(deployment, bus)
+    deadline = time.monotonic() + _PATIENCE
+    while True:
+        verdicts = watch.verdicts(0.2)
+        sick = [verdict for verdict in verdicts if not verdict.healthy]
+        if not sick:
+            return len(verdicts)
+        if time.monotonic() > deadline:
+            first = sick[0]
+            raise DeploymentError(f"{first.process.name} is not healthy: {first.trouble}\n{deployment.tail(first.process.name)}")
+
+
+def _play(bus: Bus, settings: DemoSettings, started: float) -> Episode:
+    """Ask for one game, tell how it goes, ask for the predicted views of the chosen plan. Returns the game's last word."""
+    bus.subscribe("episode", "tick", "hider/plan", "hider/view")
+    rules = Rules(maximum_steps=settings.steps, layout=settings.layout, step_period=settings.period)
+    ask = Control(
+        stamp=time.time_ns(), action="start", seed=settings.seed, games=1, rules=rules, players=Players(seeker=settings.seeker)
+    )
+    deadline = time.monotonic() + _PATIENCE
+    while not bus.has_reader("control"):
+        if time.monotonic() > deadline:
+            raise DeploymentError("the referee does not listen to `control`: see `vantage logs referee`")
+        bus.receive(0.05)
+    bus.publish("control", ask)
+    view: StateImage | None = None
+    plan: Plan | None = None
+    shown = 0
+    while True:
+        event = bus.receive(1.0)
+        if time.monotonic() > deadline:
+            raise DeploymentError("the game does not go on: see `vantage status`")
+        if isinstance(event, Reply):
+            _tell_prediction(event)
+        if not isinstance(event, Sample):
+            continue
+        deadline = time.monotonic() + _PATIENCE
+        message: Message = event.decode()
+        if isinstance(message, Episode):
+            if message.phase == "running":
+                console.print(f"2/5 game {message.episode} begins, seed {message.seed}, layout {rules.layout}")
+            elif message.phase in ("ended", "aborted"):
+                console.print(f"    {message.reason}")
+                return message
+        elif isinstance(message, StateImage) and message.step == 0:
+            view = message
+        elif isinstance(message, Plan) and plan is None and view is not None:
+            plan = message
+            open_goals = sum(value is not None for value in plan.values)
+            console.print(
+                f"3/5 the hider has painted its value map in {plan.elapsed:.2f} s: {open_goals} open goals, "
+                f"it chooses goal {plan.goal}"
+            )
+            bus.call("predictor", views_request(view, plan), timeout=10.0)
+        elif isinstance(message, Tick):
+            if message.step == 0:
+                console.print(f"    first tick after {time.monotonic() - started:.1f} s")
+            elif message.step == 1:
+                console.print(f"4/5 playing, at most {rules.maximum_steps * rules.step_period:.0f} s ...")
+            elif message.step // VIEW_INTERVAL > shown:
+                shown = message.step // VIEW_INTERVAL
+                console.print(f"    step {message.step} of {rules.maximum_steps}: the hider is free")
+
+
+def views_request(view: StateImage, plan: Plan) -> PredictRequest:
+    """Return the question for the predicted seeker views along a plan, every 20 steps."""
+    path = np.frombuffer(plan.path, np.float32).reshape(-1, 3)[: plan.horizon, :2]
+    horizons = tuple(range(VIEW_INTERVAL - 1, plan.horizon, VIEW_INTERVAL)) or (plan.horizon - 1,)
+    return PredictRequest(
+        stamp=view.stamp,
+        episode=view.episode,
+        step=view.step,
+        state_image=view.data,
+        path_count=1,
+        path_steps=len(path),
+        paths=np.ascontiguousarray(path).tobytes(),
+        horizons=horizons,
+        views=tuple((0, index) for index in range(len(horizons))),
+    )
+
+
+def _tell_prediction(event: Reply) -> None:
+    if event.error:
+        console.print(f"    the predicted views cannot be had: {event.error}")
+        return
+    reply = event.decode()
+    assert isinstance(reply, PredictReply)
+    caught = np.frombuffer(reply.caught, np.float32)
+    console.print(f"    on this plan it expects to be caught by the end with {caught[-1]:.0%}")

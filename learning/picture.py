@@ -1,0 +1,204 @@
+"""One picture of one game: the arena with both paths, the value map, and predicted beside true seeker views.
+
+Everything is read from the game's log.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle, Rectangle
+from matplotlib.transforms import Affine2D
+from numpy.typing import NDArray
+
+from schemas import STATE_IMAGE_SIZE, Plan, Pose, PredictReply, PredictRequest, Robot
+from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
+from vantage.log.reader import read
+from vantage.perception.palette import PALETTE
+from vantage.world.arena import ARENA_SIZE, GOALS, HIDER_COLOR, ROBOT_RADIUS, SEEKER_COLOR
+
+matplotlib.use("Agg")
+
+VIEW_INTERVAL = 20
+"""Steps between the seeker views that are shown (paper, Fig. 4)."""
+_COLORS: dict[Robot, tuple[float, ...]] = {
+    "hider": tuple(part / 255 for part in HIDER_COLOR),
+    "seeker": tuple(part / 255 for part in SEEKER_COLOR),
+}
+_SAFETY_MAP = "RdYlBu"  # red is dangerous, blue is safe, as in the paper
+
+
+@dataclass(frozen=True)
+class Game:
+    """One game as its log tells it.
+
+    Attributes:
+        log: messages by step.
+        predicted: step -> (predicted seeker view uint8 [128, 128, 3], probability that the hider is caught by then).
+    """
+
+    log: EpisodeLog
+    predicted: dict[int, tuple[NDArray[np.uint8], float]]
+
+
+def read_game(path: Path) -> Game:
+    """Read the last game of a log.
+
+    Raises:
+        ValueError: the log holds no game.
+    """
+    games = list(episodes(read(path, topics=EPISODE_TOPICS)))
+    if not games:
+        raise ValueError(f"{path} holds no game")
+    log = games[-1]
+    predicted: dict[int, tuple[NDArray[np.uint8], float]] = {}
+    requests: list[PredictRequest] = []
+    for record in read(path, topics=("predictor/request", "predictor/reply")):
+        message = record.decode()
+        if isinstance(message, PredictRequest):
+            requests.append(message)
+        elif isinstance(message, PredictReply) and requests:
+            request = requests.pop(0)
+            if request.views and request.episode == log.number:
+                predicted.update(_views_of(request, message))
+    return Game(log, predicted)
+
+
+def draw(game: Game, path: Path) -> None:
+    """Write the picture of a game as PNG."""
+    figure = Figure(figsize=(15, 10.2), dpi=100, facecolor="white")
+    grid = figure.add_gridspec(
+        2, 2, height_ratios=(1.55, 1.0), left=0.035, right=0.985, top=0.89, bottom=0.035, hspace=0.16, wspace=0.10
+    )
+    log = game.log
+    rules = log.episode.rules
+    ending = {
+        "caught": f"the seeker caught the hider at step {log.episode.caught_step}",
+        "survived": f"the hider survived all {rules.maximum_steps} steps",
+    }
+    outcome = ending.get(log.episode.outcome, f"the game did not end: {log.episode.reason or log.episode.phase}")
+    figure.suptitle(f"Hide-and-seek: {outcome}", fontsize=17, fontweight="bold", x=0.035, ha="left", y=0.975)
+    details = f"episode {log.number}, seed {log.episode.seed}, layout {rules.layout}, seeker preset {log.episode.players.seeker}, one step is 10 mm or 10°"
+    figure.text(0.035, 0.928, details, fontsize=11, color="0.35")
+    _draw_arena(figure.add_subplot(grid[0, 0]), log)
+    _draw_value_map(figure.add_subplot(grid[0, 1]), log)
+    steps = sorted(game.predicted) or list(range(VIEW_INTERVAL - 1, rules.maximum_steps, VIEW_INTERVAL))
+    strip = grid[1, :].subgridspec(2, len(steps) + 1, hspace=0.20, wspace=0.06, width_ratios=[0.34, *(1.0 for _ in steps)])
+    for row, title in enumerate(("predicted\nby the hider\nat its first look", "true\n(the seeker's\nown view)")):
+        label = figure.add_subplot(strip[row, 0])
+        label.axis("off")
+        label.text(0.0, 0.5, title, fontsize=11, va="center", fontweight="bold")
+    for column, step in enumerate(steps, start=1):
+        top, bottom = figure.add_subplot(strip[0, column]), figure.add_subplot(strip[1, column])
+        if step in game.predicted:
+            view, caught = game.predicted[step]
+            top.imshow(view, interpolation="nearest")
+            top.set_title(f"step {step + 1}: caught {caught:.0%}", fontsize=11)
+        true, when = _true_view(log, step)
+        if true is not None:
+            bottom.imshow(true, interpolation="nearest")
+            bottom.set_title(when, fontsize=11)
+        for axes in (top, bottom):
+            axes.set_xticks([])
+            axes.set_yticks([])
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path)
+
+
+def _draw_arena(axes: Axes, log: EpisodeLog) -> None:
+    _frame(axes, "The game from above", log)
+    for robot in ("hider", "seeker"):
+        track = _track(log.poses[robot])  # [n, 3]
+        if len(track) == 0:
+            continue
+        color = _COLORS[robot]
+        axes.plot(track[:, 0], track[:, 1], color=color, linewidth=2.5, zorder=4, label=f"{robot}'s path")
+        for step in range(0, len(track), VIEW_INTERVAL):
+            axes.plot(*track[step, :2], "o", color=color, markeredgecolor="black", markersize=5, zorder=5)
+        axes.add_patch(
+            Circle(track[0, :2], ROBOT_RADIUS, facecolor="none", edgecolor=color, linewidth=2, linestyle=":", zorder=5)
+        )
+        axes.add_patch(Circle(track[-1, :2], ROBOT_RADIUS, facecolor=color, edgecolor="black", alpha=0.85, zorder=6))
+        x, y, heading = track[-1]
+        tip = (x + ROBOT_RADIUS * math.cos(heading), y + ROBOT_RADIUS * math.sin(heading))
+        axes.plot([x, tip[0]], [y, tip[1]], color="black", linewidth=2, zorder=7)
+        axes.annotate(robot, (x, y - ROBOT_RADIUS - 0.012), ha="center", va="top", fontsize=10, zorder=8)
+    plan = _first_plan(log)
+    if plan is not None:
+        planned = np.frombuffer(plan.path, np.float32).reshape(-1, 3)
+        axes.plot(planned[:, 0], planned[:, 1], "--", color="black", linewidth=1.2, zorder=5, label="hider's plan")
+    axes.legend(loc="upper right", fontsize=9, framealpha=0.9)
+    axes.set_xlabel(f"dotted: start; filled: end; a dot every {VIEW_INTERVAL} steps; metres", fontsize=10)
+
+
+def _draw_value_map(axes: Axes, log: EpisodeLog) -> None:
+    plan = _first_plan(log)
+    _frame(axes, "The hider's value map: how safe is each goal?", log)
+    if plan is None or not plan.values:
+        axes.text(0.6, 0.6, "no plan was recorded", ha="center")
+        return
+    checkpoint_count = plan.horizon // plan.checkpoint_interval
+    safety = np.array([np.nan if value is None else checkpoint_count - value for value in plan.values]).reshape(11, 11)
+    image = axes.imshow(
+        np.ma.masked_invalid(safety), origin="lower", extent=(0.05, 1.15, 0.05, 1.15), cmap=_SAFETY_MAP, alpha=0.85, zorder=1
+    )
+    for goal in np.flatnonzero(np.isnan(safety.ravel())):
+        x, y = GOALS[goal]
+        axes.plot(x, y, "x", color="0.35", markersize=9, zorder=3)
+    if plan.goal is not None:
+        axes.plot(*GOALS[plan.goal], "*", color="gold", markeredgecolor="black", markersize=24, zorder=6)
+    start = log.poses["hider"].get(plan.step)
+    if start is not None:
+        axes.add_patch(Circle((start.x, start.y), ROBOT_RADIUS, facecolor=_COLORS["hider"], edgecolor="black", zorder=5))
+    bar = axes.figure.colorbar(image, ax=axes, fraction=0.046, pad=0.02)
+    bar.set_label(f"checkpoints (of {checkpoint_count}) at which the hider is expected to be free", fontsize=10)
+    axes.set_xlabel("star: chosen goal; disc: the hider; x: blocked goal; metres", fontsize=10)
+
+
+def _frame(axes: Axes, title: str, log: EpisodeLog) -> None:
+    axes.set_title(title, fontsize=13, loc="left")
+    axes.set_xlim(0, ARENA_SIZE)
+    axes.set_ylim(0, ARENA_SIZE)
+    axes.set_aspect("equal")
+    axes.set_xticks(np.arange(0.0, 1.21, 0.2))
+    axes.set_yticks(np.arange(0.0, 1.21, 0.2))
+    for box in log.layout.obstacles if log.layout else ():
+        corner = (-box.half_width, -box.half_depth)
+        place = Affine2D().rotate(box.heading).translate(box.x, box.y) + axes.transData
+        axes.add_patch(Rectangle(corner, 2 * box.half_width, 2 * box.half_depth, color="0.25", zorder=3, transform=place))
+
+
+def _first_plan(log: EpisodeLog) -> Plan | None:
+    return log.plans[min(log.plans)] if log.plans else None
+
+
+def _track(poses: dict[int, Pose]) -> NDArray[np.float64]:
+    return np.array([(poses[step].x, poses[step].y, poses[step].heading) for step in sorted(poses)]).reshape(-1, 3)
+
+
+def _true_view(log: EpisodeLog, step: int) -> tuple[NDArray[np.uint8] | None, str]:
+    """Return the seeker's view at a step (RGB), or its last one where the game was over by then, and a caption."""
+    views = log.views["seeker"]
+    if not views:
+        return None, ""
+    shown = min(step, max(views))
+    if shown not in views:
+        return None, ""
+    image = PALETTE[np.frombuffer(views[shown].data, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)]
+    caught = log.episode.caught_step is not None and step >= log.episode.caught_step
+    return image, f"caught at {log.episode.caught_step}" if caught else "free"
+
+
+def _views_of(request: PredictRequest, reply: PredictReply) -> dict[int, tuple[NDArray[np.uint8], float]]:
+    caught = np.frombuffer(reply.caught, np.float32).reshape(request.path_count, len(request.horizons))
+    shape = (STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3)
+    return {
+        request.step + request.horizons[horizon]: (np.frombuffer(view, np.uint8).reshape(shape), float(caught[path, horizon]))
+        for (path, horizon), view in zip(request.views, reply.views, strict=False)
+    }
