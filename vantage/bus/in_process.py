@@ -10,6 +10,7 @@ import heapq
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from itertools import islice
 
 from schemas import CALLS, TOPICS, Call, Message, Topic, encode
 from vantage.bus.interface import Alive, Bus, CannotOpen, Event, NameInUse, Reply, Request, Sample, wrong_type
@@ -153,8 +154,9 @@ class InProcessBus(Bus):
         self._require_open()
         topic = self._topic_to_publish(key)
         history: deque[Sample] | None = None
-        if topic.history:
-            history = self._network.histories[key].setdefault(self.name, deque(maxlen=topic.history))
+        kept = max(topic.cache, topic.history) if topic.delivery == "lossless" else topic.history
+        if kept:
+            history = self._network.histories[key].setdefault(self.name, deque(maxlen=kept))
         route = self._routes[key] = _Route(topic, self._network.readers[key], history)
         return route
 
@@ -168,7 +170,7 @@ class InProcessBus(Bus):
             self._reading[topic.key] = put
             self._network.readers[topic.key].append(put)
             for history in self._network.histories[topic.key].values():
-                for sample in history:
+                for sample in islice(history, 0 if raw else max(0, len(history) - topic.history), None):
                     put(sample)
 
     def receive(self, timeout: float) -> Event | None:

@@ -16,6 +16,9 @@ from typing import Self
 from schemas import CALLS, TOPICS, Call, MalformedMessage, Message, Topic, decode, encode
 from vantage.bus.expressions import check, named_keys
 
+NAME_LIMIT = 64
+"""Longest name of a participant, letters."""
+
 
 class Refused(ValueError):
     """The bus does not do what was asked, because the tables of `schemas` do not allow it."""
@@ -195,8 +198,8 @@ class Bus(ABC):
     def __init__(self, name: str, arena: str, topics: Mapping[str, Topic] = TOPICS, calls: Mapping[str, Call] = CALLS) -> None:
         for word, text in (("name", name), ("arena", arena)):
             check(text)
-            if "/" in text or "*" in text or not text.isascii() or len(text) > 64:
-                raise ValueError(f"{word} {text!r} must be one plain ASCII word of at most 64 letters")
+            if "/" in text or "*" in text or not text.isascii() or len(text) > NAME_LIMIT:
+                raise ValueError(f"{word} {text!r} must be one plain ASCII word of at most {NAME_LIMIT} letters")
         self.name = name
         self.arena = arena
         self._topics = topics
@@ -219,7 +222,7 @@ class Bus(ABC):
 
         Args:
             raw: as the recorder needs it: every message, also those of `latest` topics, and also what strangers publish
-                under the arena on keys that no table declares.
+                under the arena on keys that no table declares; a late joiner gets all that the publishers' caches still hold.
 
         Raises:
             UndeclaredKey: nothing declared is named (unless raw).
@@ -251,7 +254,10 @@ class Bus(ABC):
 
     @abstractmethod
     def watch(self) -> None:
-        """Receive an Alive event for every participant on the bus, those already there and this one included, now and later."""
+        """Receive an Alive event for every participant on the bus, those already there and this one included, now and later.
+
+        A participant counts as there when it first publishes or receives, at the latest: what it serves can be called then.
+        """
 
     @abstractmethod
     def has_reader(self, key: str) -> bool:

@@ -68,11 +68,11 @@ class ZenohBus(Bus):
         self._last_published = 0
         self._calls_made = 0
         self._requests_made = 0
+        self._announced = False
         self._watching = False
         self._process = os.getpid()
         self._session: zenoh.Session | None = open_session(name, folder)
         _open_buses.add(self)
-        self._kept.append(self._session.liveliness().declare_token(f"{self._alive_prefix}{name}"))
 
     @property
     def _alive_prefix(self) -> str:
@@ -88,7 +88,14 @@ class ZenohBus(Bus):
     def _writer(self, key: str) -> _Writer:
         topic = self._topic_to_publish(key)
         writer = self._writers[key] = _Writer(self._opened(), self.prefix, topic)
+        self._announce()
         return writer
+
+    def _announce(self) -> None:
+        """Show that this participant is there, which only now, with its subscriptions and servers made, it really is."""
+        if not self._announced:
+            self._announced = True
+            self._kept.append(self._opened().liveliness().declare_token(self._alive_prefix + self.name))
 
     def _now(self) -> int:
         self._last_published = max(time.time_ns(), self._last_published + 1)
@@ -123,6 +130,8 @@ class ZenohBus(Bus):
             self._kept.append(subscriber.sample_miss_listener(Callback(reader.missed, indirect=False)))
 
     def receive(self, timeout: float) -> Event | None:
+        self._opened()
+        self._announce()
         end = time.monotonic() + timeout
         while True:
             try:

@@ -15,13 +15,10 @@ import zenoh
 from zenoh import ext
 
 from schemas import Call, Message, Topic
-from vantage.bus.interface import Alive, Event, Lost, Reply, Request, Sample
+from vantage.bus.interface import NAME_LIMIT, Alive, Event, Lost, Reply, Request, Sample
 
 QUEUE_LIMIT = 128 * 2**20
 """Bytes of one topic that may wait unread in a session; what comes beyond is lost, and reported as such."""
-
-NAME_LIMIT = 64
-"""Longest name of a participant, bytes."""
 
 _STAMP = struct.Struct("<QQ")  # sequence, time of publishing; the publisher's name follows
 _REFUSAL = zenoh.Encoding("text/plain").with_schema("vantage.Refusal")

@@ -45,7 +45,7 @@ def configuration(name: str, folder: Path) -> dict[str, object]:
         "mode": "peer",
         "listen": {"endpoints": [_endpoint(name, folder)], "exit_on_failure": True},
         "connect": {
-            "endpoints": [_endpoint(hub, folder) for hub in HUBS if hub != name],
+            "endpoints": [_endpoint(other, folder) for other in sorted({*HUBS, *_living(folder)} - {name})],
             "exit_on_failure": False,
             "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
         },
@@ -67,6 +67,11 @@ def configuration(name: str, folder: Path) -> dict[str, object]:
             },
         },
     }
+
+
+def _living(folder: Path) -> list[str]:
+    """Return who is on the bus now: with them a participant meets its siblings even while both hubs are away."""
+    return [lock.name.removesuffix(".sock.lock") for lock in folder.glob("*.sock.lock") if _is_held(lock)]
 
 
 def _endpoint(name: str, folder: Path) -> str:
@@ -102,14 +107,20 @@ def _make_private(folder: Path) -> None:
 
 
 def _refuse_taken_name(name: str, folder: Path) -> None:
-    """Zenoh locks `<socket>.lock` while it listens; the lock goes with its process, so a stale file takes no name."""
+    if _is_held(Path(f"{folder / name}.sock.lock")):
+        raise NameInUse(f"{name!r} is on the bus in {folder} already: stop that process first")
+
+
+def _is_held(lock: Path) -> bool:
+    """Return whether a living process holds a socket: Zenoh locks `<socket>.lock` while it listens."""
     try:
-        lock = os.open(f"{folder / name}.sock.lock", os.O_RDONLY)
+        descriptor = os.open(lock, os.O_RDONLY)
     except FileNotFoundError:
-        return
+        return False
     try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise NameInUse(f"{name!r} is on the bus in {folder} already: stop that process first") from None
+        return True
     finally:
-        os.close(lock)
+        os.close(descriptor)
+    return False
