@@ -31,6 +31,16 @@ _TIME = np.round(255.0 * (1.0 - _STEPS / SCALE_STEPS)).astype(np.uint8)
 
 
 @kernel
+def _pixel(x: float, y: float) -> tuple[int, int]:
+    """Column and row of a position in m, drawn at the edge where it lies outside; (-1, -1) where it is not finite."""
+    if not (math.isfinite(x) and math.isfinite(y)):
+        return -1, -1
+    column = min(_SIZE - 1.0, max(0.0, math.floor(x / PIXEL_SIZE)))
+    row = min(_SIZE - 1.0, max(0.0, math.floor((ARENA_SIZE - y) / PIXEL_SIZE)))
+    return int(column), int(row)
+
+
+@kernel
 def extend_action_maps(
     path: NDArray[np.floating],  # [S, 2 or more]
     start: int,
@@ -50,20 +60,29 @@ def extend_action_maps(
     """
     if start < 0 or first < start or stop >= path.shape[0]:
         raise ValueError("action maps need 0 <= start <= first and stop below the number of positions")
-    for step in range(first, stop + 1):
-        x = path[step, 0]
-        y = path[step, 1]
-        if not (math.isfinite(x) and math.isfinite(y)):
+    step = first
+    while step <= stop:
+        column, row = _pixel(path[step, 0], path[step, 1])
+        run = 1  # waiting and turning: positions on the same pixel are painted at once
+        while step + run <= stop:
+            next_column, next_row = _pixel(path[step + run, 0], path[step + run, 1])
+            if next_column != column or next_row != row:
+                break
+            run += 1
+        step += run
+        if column < 0:
             continue
-        column = int(min(_SIZE - 1.0, max(0.0, math.floor(x / PIXEL_SIZE))))
-        row = int(min(_SIZE - 1.0, max(0.0, math.floor((ARENA_SIZE - y) / PIXEL_SIZE))))
-        shade = _TIME[min(SCALE_STEPS, step - start)]
-        for r in range(max(0, row - 2), min(_SIZE, row + 3)):
-            half = 1 if abs(r - row) == 2 else 2
+        shade = _TIME[min(SCALE_STEPS, step - 1 - start)]
+        for across in range(-2, 3):
+            r = row + across
+            if not 0 <= r < _SIZE:
+                continue
+            half = 1 if across == -2 or across == 2 else 2
             for c in range(max(0, column - half), min(_SIZE, column + half + 1)):
-                count = min(SCALE_STEPS, counts[r, c] + 1)
+                count = min(SCALE_STEPS, np.int64(counts[r, c]) + run)
                 counts[r, c] = count
                 frequency[r, c] = _FREQUENCY[count]
+            for c in range(max(0, column - half), min(_SIZE, column + half + 1)):
                 frequency_alpha[r, c] = 255
                 time[r, c] = shade
                 time_alpha[r, c] = 255
