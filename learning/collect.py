@@ -20,7 +20,6 @@ import numpy as np
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from services.seeker.core import SeekerCore, SeekerSettings
 
 from learning.hiders.core import HiderCore
 from learning.hiders.policy import HiderPolicy
@@ -28,6 +27,7 @@ from learning.hiders.replay import Trajectories
 from learning.hiders.table import HIDERS
 from schemas import PRIMITIVES, Command, Episode, Players, Rules
 from services.referee.core import RefereeCore, RefereeSettings
+from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
 from vantage.bus import InProcessNetwork, Sample, VirtualClock
 from vantage.log import LogWriter, RunMetadata, read, source_commit
@@ -120,9 +120,8 @@ def main(settings: CollectSettings) -> int:
         process.join()
     failed = [process.exitcode for process in processes if process.exitcode]
     elapsed = time.monotonic() - started
-    print(
-        f"{games} games, {steps} steps in {elapsed:.1f} s: {steps / elapsed:,.0f} steps/s with {workers} workers, in {settings.to}/"
-    )
+    rate = f"{steps / elapsed:,.0f} steps/s with {workers} workers"
+    print(f"{games} games, {steps} steps in {elapsed:.1f} s: {rate}, in {settings.to}/")
     if failed or games < sum(map(len, waiting)):
         print(f"{len(failed)} workers failed (see above); run the command again to go on", file=sys.stderr)
         return 1

@@ -56,7 +56,7 @@ def main(settings: DemoSettings) -> int:
     deployment.start(settings.to, {})
     try:
         with ZenohBus("command-line", deployment.folder) as bus:
-            count = _wait_until_healthy(deployment, bus)
+            count = _wait_until_healthy(deployment)
             console.print(f"    {count} services are healthy after {time.monotonic() - started:.1f} s")
             episode = _play(bus, settings, started)
             # What was said last is on its way to the recorder, which flushes each second.
@@ -80,17 +80,18 @@ def main(settings: DemoSettings) -> int:
     return 0 if episode.phase == "ended" else 1
 
 
-def _wait_until_healthy(deployment: Deployment, bus: Bus) -> int:
-    watch = HealthWatch(deployment, bus)
+def _wait_until_healthy(deployment: Deployment) -> int:
     deadline = time.monotonic() + _PATIENCE
-    while True:
-        verdicts = watch.verdicts(0.2)
-        sick = [verdict for verdict in verdicts if not verdict.healthy]
-        if not sick:
-            return len(verdicts)
-        if time.monotonic() > deadline:
-            first = sick[0]
-            raise DeploymentError(f"{first.process.name} is not healthy: {first.trouble}\n{deployment.tail(first.process.name)}")
+    with HealthWatch(deployment) as watch:
+        while True:
+            watch.listen(0.1)
+            verdicts = watch.verdicts()
+            sick = [verdict for verdict in verdicts if not verdict.healthy]
+            if not sick:
+                return len(verdicts)
+            if time.monotonic() > deadline:
+                name = sick[0].process.name
+                raise DeploymentError(f"{name} is not healthy: {sick[0].trouble}\n{deployment.tail(name)}")
 
 
 def _play(bus: Bus, settings: DemoSettings, started: float) -> Episode:

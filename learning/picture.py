@@ -84,7 +84,8 @@ def draw(game: Game, path: Path) -> None:
     }
     outcome = ending.get(log.episode.outcome, f"the game did not end: {log.episode.reason or log.episode.phase}")
     figure.suptitle(f"Hide-and-seek: {outcome}", fontsize=17, fontweight="bold", x=0.035, ha="left", y=0.975)
-    details = f"episode {log.number}, seed {log.episode.seed}, layout {rules.layout}, seeker preset {log.episode.players.seeker}, one step is 10 mm or 10°"
+    game_facts = f"episode {log.number}, seed {log.episode.seed}, layout {rules.layout}"
+    details = f"{game_facts}, seeker preset {log.episode.players.seeker}, one step is 10 mm or 10°"
     figure.text(0.035, 0.928, details, fontsize=11, color="0.35")
     _draw_arena(figure.add_subplot(grid[0, 0]), log)
     _draw_value_map(figure.add_subplot(grid[0, 1]), log)

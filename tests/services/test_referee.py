@@ -1,0 +1,193 @@
+"""The referee: step protocol, catch, lateness, stalled games, restarts."""
+
+from collections.abc import Sequence
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from schemas import Command, Control, Episode, Pose, Rules, Tick
+from services.referee.core import RefereeCore, RefereeSettings
+from vantage.service import SECOND, Arrived, Changed, Publish, Send, Unexpected, Woken
+
+REQUIRED = ("simulator", "seeker", "planner")
+
+
+class Table:
+    """Plays the other services' part by hand."""
+
+    def __init__(self, **settings: object) -> None:
+        self.core = RefereeCore(RefereeSettings(required=REQUIRED, **settings))  # type: ignore[arg-type]
+        self.now = 0
+
+    def send(self, received: object) -> list[object]:
+        return messages(self.core.step(received, self.now))  # type: ignore[arg-type]
+
+    def arrive(self) -> list[object]:
+        self.wake()
+        self.wake()
+        sent: list[object] = []
+        for name in REQUIRED:
+            sent += self.send(Changed(name, True))
+        return sent
+
+    def wake(self) -> list[object]:
+        wake = self.core.wake_at()
+        assert wake is not None
+        self.now = max(self.now, wake)
+        return self.send(Woken())
+
+    def pose(self, robot: str, x: float, step: int, episode: int = 1) -> list[object]:
+        return self.send(Arrived(f"{robot}/pose", Pose(stamp=self.now, episode=episode, step=step, x=x, y=0.5, heading=0.0)))
+
+    def command(self, robot: str, step: int, episode: int = 1) -> list[object]:
+        command = Command(stamp=self.now, episode=episode, step=step, primitive="stay")
+        return self.send(Arrived(f"{robot}/command", command))
+
+    def play_step(self, step: int, hider: float, seeker: float) -> list[object]:
+        self.command("hider", step)
+        self.command("seeker", step)
+        self.pose("hider", hider, step + 1)
+        return self.pose("seeker", seeker, step + 1)
+
+
+def messages(sends: Sequence[Send]) -> list[object]:
+    assert all(isinstance(send, Publish) for send in sends)
+    return [send.message for send in sends if isinstance(send, Publish)]
+
+
+def start(**settings: object) -> Table:
+    rules = settings.pop("rules", Rules(step_period=0.0))
+    table = Table(autoplay=True, games=1, rules=rules, **settings)
+    (setup,) = table.arrive()
+    assert isinstance(setup, Episode) and setup.phase == "setup" and setup.seed == 1
+    table.pose("hider", 0.2, 0)
+    running, tick = table.pose("seeker", 0.6, 0)
+    assert isinstance(running, Episode) and running.phase == "running"
+    assert tick == Tick(stamp=table.now, episode=1, step=0)
+    return table
+
+
+def test_no_game_before_every_required_service_is_alive() -> None:
+    table = Table(autoplay=True)
+    table.wake()
+    table.wake()
+    for name in REQUIRED[:-1]:
+        assert table.send(Changed(name, True)) == []
+    (setup,) = table.send(Changed(REQUIRED[-1], True))
+    assert isinstance(setup, Episode)
+
+
+@given(st.floats(0.0, 1.2), st.floats(0.0, 1.2))
+def test_the_catch_is_judged_by_distance_alone(hider: float, seeker: float) -> None:
+    table = start()
+    (message,) = table.play_step(0, hider, seeker)
+    if abs(hider - seeker) <= 0.150 + 1e-9:
+        assert isinstance(message, Episode)
+        assert (message.phase, message.outcome, message.caught_step) == ("ended", "caught", 1)
+    else:
+        assert message == Tick(stamp=table.now, episode=1, step=1)
+
+
+def test_a_catch_at_exactly_the_catch_distance_counts() -> None:
+    table = start()
+    (message,) = table.play_step(0, 0.25, 0.25 + 0.15)
+    assert isinstance(message, Episode) and message.outcome == "caught"
+
+
+def test_catches_can_be_ignored() -> None:
+    table = start(rules=Rules(step_period=0.0, catching=False))
+    (message,) = table.play_step(0, 0.5, 0.5)
+    assert isinstance(message, Tick)
+
+
+def test_the_hider_survives_the_last_step() -> None:
+    table = start(rules=Rules(step_period=0.0, maximum_steps=3))
+    assert isinstance(table.play_step(0, 0.2, 0.6)[0], Tick)
+    assert isinstance(table.play_step(1, 0.2, 0.6)[0], Tick)
+    (message,) = table.play_step(2, 0.2, 0.6)
+    assert isinstance(message, Episode)
+    assert (message.outcome, message.step, message.caught_step) == ("survived", 3, None)
+
+
+def test_real_time_paces_the_ticks() -> None:
+    table = start(rules=Rules(step_period=0.25))
+    assert table.play_step(0, 0.2, 0.6) == []
+    before = table.now
+    (tick,) = table.wake()
+    assert isinstance(tick, Tick) and tick.step == 1
+    assert table.now - before == SECOND // 4
+
+
+def test_a_late_robot_stays_in_real_time() -> None:
+    table = start(rules=Rules(step_period=0.25))
+    table.play_step(0, 0.2, 0.6)
+    table.wake()
+    table.command("seeker", 1)
+    assert table.wake() == [Tick(stamp=table.now, episode=1, step=1, late=("hider",))]
+    with pytest.raises(Unexpected):
+        table.command("hider", 1)
+
+
+def test_a_game_without_answer_is_aborted_and_says_who_is_missing() -> None:
+    table = start()
+    table.command("hider", 0)
+    (message,) = table.wake()
+    assert isinstance(message, Episode)
+    assert message.phase == "aborted" and "no command from the seeker for step 0" in message.reason
+
+
+def test_a_step_that_is_not_executed_aborts_the_game_and_the_next_begins() -> None:
+    table = Table(autoplay=True, rules=Rules(step_period=0.0))
+    table.arrive()
+    table.pose("hider", 0.2, 0)
+    table.pose("seeker", 0.6, 0)
+    table.command("hider", 0)
+    table.command("seeker", 0)
+    (aborted,) = table.wake()
+    assert isinstance(aborted, Episode) and "was not executed" in aborted.reason
+    (setup,) = table.wake()
+    assert isinstance(setup, Episode)
+    assert (setup.episode, setup.seed, setup.phase) == (2, 2, "setup")
+
+
+def test_a_restarted_referee_aborts_the_game_it_finds_and_goes_on_after_it() -> None:
+    table = Table(autoplay=True)
+    table.wake()
+    table.pose("hider", 0.2, 17, episode=5)
+    for name in REQUIRED:
+        table.send(Changed(name, True))
+    aborted, setup = table.wake()
+    assert isinstance(aborted, Episode) and isinstance(setup, Episode)
+    assert (aborted.episode, aborted.phase) == (5, "aborted")
+    assert (setup.episode, setup.phase, setup.seed) == (6, "setup", 6)
+
+
+def test_control_starts_and_stops_games() -> None:
+    table = Table()
+    assert table.arrive() == []
+    (setup,) = table.send(Arrived("control", Control(stamp=0, action="start", seed=42, games=2)))
+    assert isinstance(setup, Episode) and (setup.seed, setup.episode) == (42, 1)
+    (aborted,) = table.send(Arrived("control", Control(stamp=0, action="stop")))
+    assert isinstance(aborted, Episode) and aborted.reason == "stopped on request"
+    assert table.core.wake_at() is None
+
+
+def test_a_second_wish_replaces_the_running_game() -> None:
+    table = Table()
+    table.arrive()
+    table.send(Arrived("control", Control(stamp=0, action="start", seed=42)))
+    aborted, setup = table.send(Arrived("control", Control(stamp=0, action="start", seed=77)))
+    assert isinstance(aborted, Episode) and isinstance(setup, Episode)
+    assert aborted.phase == "aborted" and (setup.seed, setup.episode) == (77, 2)
+
+
+def test_strangers_messages_are_set_aside() -> None:
+    table = start()
+    for robot in ("hider", "seeker"):
+        with pytest.raises(Unexpected):
+            table.pose(robot, 0.3, 7)
+        with pytest.raises(Unexpected):
+            table.command(robot, 0, episode=9)
+        with pytest.raises(Unexpected):
+            table.command(robot, 5)
