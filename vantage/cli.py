@@ -37,9 +37,9 @@ COMMANDS = (
     Command("train vpt-tob", "learning.train_vpt_tob:main", "train the view prediction network"),
     Command("train vpn", "learning.train_vpn:main", "train the network that judges a predicted view"),
     Command("evaluate", "learning.evaluate:main", "accuracy of trained weights beside what needs no network"),
-    Command("log info", "vantage.log.commands:info", "what is in a log"),
-    Command("log recover", "vantage.log.commands:recover", "repair a log that was cut off"),
-    Command("log export", "vantage.log.commands:export", "write a log for other programs"),
+    Command("log info", "vantage.log_commands:info", "what is in a log"),
+    Command("log recover", "vantage.log_commands:recover", "repair a log that was cut off"),
+    Command("log export", "vantage.log_commands:export", "write a log for other programs"),
 )
 
 FIRST_STEPS = """examples:

@@ -22,7 +22,7 @@ from vantage.watch import HealthWatch, Verdict
 console = Console(highlight=False)
 
 NameOfDeployment = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[DEPLOYMENT]")]
-TROUBLESOME_RESTARTS = 4
+TROUBLESOME_RESTARTS = 3
 """A service that was started so often before it was ever healthy does not start at all."""
 
 
@@ -125,7 +125,9 @@ def up(settings: Up) -> int:
         raise
     sick = [verdict for verdict in verdicts if not verdict.healthy]
     if sick:
-        text = "\n".join(_diagnosis(deployment, verdict) for verdict in sick)
+        # Those that live only complain that the dead ones are missing.
+        dead = [verdict for verdict in sick if verdict.health is None]
+        text = "\n".join(_diagnosis(deployment, verdict) for verdict in dead or sick)
         deployment.stop()
         raise DeploymentError(f"{settings.deployment} did not come up, and is stopped again.\n{text}")
     memory = _mebibytes(sum(verdict.process.memory for verdict in verdicts) + deployment.supervisor_memory())
