@@ -26,6 +26,9 @@ MINIMUM_GAP = 0.150
 RANDOM_ATTEMPTS = 100_000
 _DRAWS_PER_BOX = 16
 
+MAXIMUM_FILE_SIZE = 1_000_000
+"""bytes"""
+
 Floats = npt.NDArray[np.float64]
 
 
@@ -140,10 +143,14 @@ def _random_layout(seed: int) -> tuple[Box, ...]:
 def read_layout(path: Path) -> tuple[Box, ...]:
     """Read and check a layout file. Raises `ImpossibleLayout`."""
     try:
+        if not path.is_file():
+            raise OSError("no such file")
+        if path.stat().st_size > MAXIMUM_FILE_SIZE:
+            raise OSError(f"larger than {MAXIMUM_FILE_SIZE} bytes")
         data = path.read_bytes()
-    except OSError as error:
+    except (OSError, ValueError) as error:  # ValueError: a path with a null byte
         raise ImpossibleLayout(
-            f"layout {str(path)!r} cannot be read ({error.strerror}); give `lab`, `random` or the path of a layout file"
+            f"layout {str(path)!r} cannot be read ({error}); give `lab`, `random` or the path of a layout file"
         ) from error
     try:
         if path.suffix == ".msgpack":
@@ -210,5 +217,5 @@ def make_layout(name: str, seed: int) -> tuple[Box, ...]:
     path = Path(name)
     try:
         return _read_version(path, path.stat().st_mtime_ns)
-    except OSError:
+    except (OSError, ValueError):
         return read_layout(path)
