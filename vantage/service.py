@@ -13,7 +13,7 @@ import sys
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from types import FrameType
@@ -29,6 +29,9 @@ HEALTH_PERIOD = SECOND
 STALE_PERIODS = 10
 STALE_MINIMUM = 2.5
 """An input is stale in a running real-time game when it is older than 10 of its periods, and than 2.5 s."""
+
+MOST_INPUTS = 200
+"""Keys that health tells apart; a raw service counts further ones together, as `**`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +143,10 @@ class CannotStart(Exception):
 
 
 class Core(Protocol):
-    """The behaviour of a service, without clock, bus or I/O."""
+    """The behaviour of a service, without clock, bus or I/O.
+
+    It may have `trouble`, a text that makes its health degraded while it is not empty, and `close`, called at the end.
+    """
 
     @property
     def declaration(self) -> Declaration: ...
@@ -150,6 +156,7 @@ class Core(Protocol):
 
         Raises:
             Unexpected: the message makes no sense here.
+            MalformedMessage: a raw core's own finding; it is counted as the runtime counts its own.
         """
         ...
 
@@ -323,6 +330,8 @@ class Runtime:
         now = self.clock()
         inputs = []
         troubles = [f"{name} is not alive" for name in sorted(self._heeds) if not self._alive.get(name, False)]
+        if own := getattr(self.core, "trouble", ""):
+            troubles.append(own)
         for key, counts in self._inputs.items():
             age = None if counts.last is None else max(0.0, (now - counts.last) / SECOND)
             rate = TOPICS[key].rate if key in TOPICS else 0.0
@@ -373,9 +382,7 @@ class Runtime:
             self._step(Changed(event.name, event.alive), now)
 
     def _handle_sample(self, sample: Sample, now: int) -> None:
-        counts = self._inputs.get(sample.key)
-        if counts is None:
-            counts = self._inputs[sample.key] = _Input()
+        counts = self._counts_of(sample)
         if self._raw:
             counts.received += 1
             counts.last = now
@@ -385,8 +392,7 @@ class Runtime:
         try:
             message = sample.decode()
         except MalformedMessage as error:
-            counts.malformed += 1
-            self._trouble = f"{sample.key} from {sample.publisher or 'an unknown publisher'} was malformed: {error}"
+            self._set_aside_malformed(sample, error)
             return
         counts.received += 1
         counts.last = now
@@ -394,6 +400,18 @@ class Runtime:
         if type(message) is Episode:
             self._running_game = message.phase == "running" and message.rules.step_period > 0
         self._step(Arrived(sample.key, message), now)
+
+    def _counts_of(self, sample: Sample) -> _Input:
+        counts = self._inputs.get(sample.key)
+        if counts is None:
+            # Strangers may publish on any number of keys; health stays small.
+            key = sample.key if sample.key in TOPICS or len(self._inputs) < MOST_INPUTS else "**"
+            counts = self._inputs.setdefault(key[:200], _Input())
+        return counts
+
+    def _set_aside_malformed(self, sample: Sample, error: MalformedMessage) -> None:
+        self._counts_of(sample).malformed += 1
+        self._trouble = f"{sample.key} from {sample.publisher or 'an unknown publisher'} was malformed: {error}"
 
     def _handle_request(self, request: Request, now: int) -> None:
         counts = self._inputs.setdefault(request.key, _Input())
@@ -434,6 +452,9 @@ class Runtime:
             self._trouble = f"set aside: {unexpected}"
             return False
         except Exception as error:  # a service never dies of a message
+            if self._raw and isinstance(error, MalformedMessage) and type(received) is Sample:
+                self._set_aside_malformed(received, error)
+                return False
             self._failed += 1
             self._trouble = f"{type(error).__name__}: {error}"
             if time.monotonic() - self._last_failure_logged > 1.0:
@@ -513,19 +534,18 @@ def run(make_core: Callable[[], Core], name: str, settings: BusSettings) -> int:
     from vantage.bus.zenoh_bus import ZenohBus  # only a process on a real bus pays for loading Zenoh
 
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
-    try:
-        core = make_core()
-        bus = ZenohBus(name, settings.folder, settings.arena)
-    except (CannotStart, CannotOpen, ValueError, OSError) as error:
-        print(f"{name} cannot start: {error}", file=sys.stderr)
-        return 1
-    with bus:
+    with ExitStack() as closing:
+        try:
+            core = make_core()
+            if hasattr(core, "close"):
+                closing.callback(core.close)
+            bus = closing.enter_context(ZenohBus(name, settings.folder, settings.arena))
+        except (CannotStart, CannotOpen, ValueError, OSError) as error:
+            print(f"{name} cannot start: {error}", file=sys.stderr)
+            return 1
         runtime = Runtime(core, bus)
         with _stop_on_signal(runtime):
             logger.info("%s started", name)
             runtime.run()
     logger.info("%s stopped", name)
-    close = getattr(core, "close", None)
-    if close is not None:
-        close()
     return 0

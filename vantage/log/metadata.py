@@ -14,6 +14,12 @@ RUN = "vantage"
 """Name of the metadata record with the run's metadata."""
 GAPS = "vantage.gaps"
 """Name of the metadata record with the lost messages of a part: `key publisher` -> count."""
+PART = "part"
+"""Field of the run's metadata: number of the part, in logs that have several."""
+REPEATED = "repeated"
+"""Mark of a channel that repeats latched messages of the part before."""
+VIEWER_PREFIX = "viewer/"
+"""Topics below it are translations for Foxglove, Lichtblick and Rerun."""
 
 
 def source_commit() -> str:

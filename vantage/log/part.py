@@ -51,7 +51,7 @@ _compressors: dict[str, Callable[[bytes], bytes]] = {
 }
 
 
-class ChunkLost(Exception):  # noqa: N818 - a loss, told to the caller
+class ChunkLost(Exception):
     """A chunk could not be written.
 
     Attributes:

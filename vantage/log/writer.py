@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 from schemas import TOPICS, Gap, Topic, encode
 from schemas.json_schema import json_schema
-from vantage.log.metadata import GAPS, RUN, RunMetadata
+from vantage.log.metadata import GAPS, PART, REPEATED, RUN, VIEWER_PREFIX, RunMetadata
 from vantage.log.part import ChunkLost, Compression, Part
 
 if TYPE_CHECKING:
@@ -24,7 +24,6 @@ FLUSH_PERIOD = 1_000_000_000
 """ns; what a crash can cost at most."""
 _BULKY = 32 * 1024
 _RETRY_PERIOD = 1_000_000_000
-VIEWER_PREFIX = "viewer/"
 
 
 def is_latched(topic: Topic) -> bool:
@@ -257,7 +256,8 @@ class LogWriter:
 
     def _open_part(self) -> Part:
         number = self._part_number
-        part = Part(part_path(self.path, number) if self._splits or number else self.path, self._chunk_size)
+        is_part = self._splits or number > 0
+        part = Part(part_path(self.path, number) if is_part else self.path, self._chunk_size)
         self._part_number += 1
         self._part = part
         self._part_start = None
@@ -265,7 +265,7 @@ class LogWriter:
         self._viewer_routes: dict[str, _Route] = {}
         self._schemas: dict[str, int] = {}
         self._part_gaps: dict[tuple[str, str], int] = {}
-        part.add_metadata(RUN, {**self._metadata, "part": str(number)})
+        part.add_metadata(RUN, {**self._metadata, PART: str(number)} if is_part else self._metadata)
         for (key, publisher), (payload, publish_time, sequence) in self._latched.items():
             self._last_time += 1
             route = self._add_route(key, publisher, True, repeated=True)
@@ -284,7 +284,7 @@ class LogWriter:
                 self._schemas[kind] = self._part.add_schema(kind, "jsonschema", json_schema(topic.type))
             metadata |= {"delivery": topic.delivery, "rate": f"{topic.rate:g}"}
             if repeated:
-                metadata["repeated"] = "true"
+                metadata[REPEATED] = "true"
             channel = self._part.add_channel(key, "msgpack", self._schemas[kind], metadata)
             route = _Route(channel, kind, self._compression, is_latched(topic))
         if not repeated:

@@ -1,0 +1,1 @@
+"""Writes everything that is said on the bus into MCAP logs."""

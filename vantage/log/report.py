@@ -1,0 +1,182 @@
+"""What is in a log, for people."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from pathlib import Path
+
+from rich.console import Group, RenderableType
+from rich.table import Table
+from rich.text import Text
+
+from schemas import Episode, Gap, MalformedMessage, Pose
+from vantage.log.reader import Record, find_logs, open_log
+
+
+@dataclass
+class TopicReport:
+    """What one publisher said on one topic.
+
+    Attributes:
+        count, size: messages and their bytes.
+        first_time, last_time: log times, ns since the Unix epoch.
+        missing: messages that are not in the log, by the publisher's sequence numbers.
+        malformed: bytes that did not decode as the topic's type.
+    """
+
+    count: int = 0
+    size: int = 0
+    first_time: int = 0
+    last_time: int = 0
+    missing: int = 0
+    malformed: int = 0
+    _sequence: int | None = None
+
+    @property
+    def rate(self) -> float:
+        """Messages a second, 0 when it cannot be told."""
+        span = self.last_time - self.first_time
+        return (self.count - 1) * 1e9 / span if span > 1_000_000 else 0.0
+
+    def add(self, record: Record) -> None:
+        """Count a message. A sequence number that goes back is a publisher that started again, not a gap."""
+        if self._sequence is not None and record.sequence > self._sequence + 1:
+            self.missing += record.sequence - self._sequence - 1
+        self._sequence = record.sequence
+        if not self.count:
+            self.first_time = record.log_time
+        self.last_time = record.log_time
+        self.count += 1
+        self.size += len(record.payload)
+        self.malformed += not record.well_formed
+
+
+@dataclass
+class GameReport:
+    """One game: the referee's last word, and the steps seen."""
+
+    episode: Episode
+    steps: int = 0
+
+
+@dataclass
+class LogReport:
+    """What is in a log; print it with rich.
+
+    Attributes:
+        parts: the files.
+        metadata: of the run.
+        topics: (key, publisher) -> what was said.
+        games: in order.
+        gaps: `key publisher` -> messages that the recorder noted as lost.
+        breaks: what could not be read.
+        finished: whether every part was closed properly.
+    """
+
+    parts: list[Path]
+    metadata: dict[str, str]
+    topics: dict[tuple[str, str], TopicReport] = field(default_factory=dict)
+    games: dict[tuple[int, int], GameReport] = field(default_factory=dict)
+    gaps: dict[str, int] = field(default_factory=dict)
+    breaks: list[str] = field(default_factory=list)
+    finished: bool = True
+
+    @property
+    def count(self) -> int:
+        """Messages."""
+        return sum(topic.count for topic in self.topics.values())
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first message to the last."""
+        if not self.topics:
+            return 0.0
+        first = min(topic.first_time for topic in self.topics.values())
+        return (max(topic.last_time for topic in self.topics.values()) - first) / 1e9
+
+    def add(self, record: Record) -> None:
+        """Take a message into account."""
+        topic = self.topics.get((record.key, record.publisher))
+        if topic is None:
+            topic = self.topics[record.key, record.publisher] = TopicReport()
+        topic.add(record)
+        if record.key not in ("episode", "gap", "hider/pose"):
+            return
+        try:
+            message = record.decode()
+        except MalformedMessage:
+            return
+        if isinstance(message, Episode):
+            game = self.games.setdefault((message.episode, message.seed), GameReport(message))
+            game.episode = message
+        elif isinstance(message, Gap):
+            name = f"{message.key} {message.publisher}".rstrip()
+            self.gaps[name] = self.gaps.get(name, 0) + message.missed
+        elif isinstance(message, Pose) and self.games:
+            game = next(reversed(self.games.values()))
+            if game.episode.episode == message.episode:
+                game.steps = max(game.steps, message.step)
+
+    def __rich__(self) -> RenderableType:
+        shown: list[RenderableType] = [self._summary(), self._topic_table()]
+        if self.games:
+            shown.append(self._game_table())
+        if self.gaps:
+            shown.append(Text("lost: " + ", ".join(f"{missed} of {name}" for name, missed in sorted(self.gaps.items()))))
+        shown += [Text(text, style="yellow") for text in self.breaks]
+        return Group(*shown)
+
+    def _summary(self) -> Table:
+        table = Table.grid(padding=(0, 2))
+        size = sum(path.stat().st_size for path in self.parts)
+        names = str(self.parts[0]) if len(self.parts) == 1 else f"{self.parts[0]} and {len(self.parts) - 1} more parts"
+        table.add_row("log", names + ("" if self.finished else " (not closed: `vantage log recover` makes it whole)"))
+        table.add_row(
+            "content", f"{self.count} messages, {self.duration:.1f} s, {size / 1e6:.2f} MB, {sum(self.gaps.values())} lost"
+        )
+        for name, value in self.metadata.items():
+            if name == "started" and value.isdigit():
+                value = datetime.fromtimestamp(int(value) / 1e9).astimezone().isoformat(sep=" ", timespec="seconds")
+            table.add_row(name.replace("_", " "), value if len(value) < 300 else value[:300] + " ...")
+        return table
+
+    def _topic_table(self) -> Table:
+        table = Table()
+        table.add_column("topic", no_wrap=True)
+        table.add_column("publisher", no_wrap=True)
+        for name in ("messages", "per s", "kB", "missing", "malformed"):
+            table.add_column(name, justify="right")
+        for (key, publisher), topic in sorted(self.topics.items()):
+            numbers = [f"{topic.count}", f"{topic.rate:.2f}" if topic.rate else "", f"{topic.size / 1e3:.1f}"]
+            table.add_row(key, publisher, *numbers, str(topic.missing or ""), str(topic.malformed or ""))
+        return table
+
+    def _game_table(self) -> Table:
+        table = Table()
+        for name in ("game", "seed", "hider", "seeker", "layout", "steps", "phase", "outcome", "reason"):
+            table.add_column(name)
+        for game in self.games.values():
+            said = game.episode
+            names = [str(said.episode), str(said.seed), said.players.hider, said.players.seeker, said.rules.layout]
+            table.add_row(*names, str(game.steps), said.phase, said.outcome, said.reason)
+        return table
+
+
+def info(source: Path) -> list[LogReport]:
+    """Go through the logs at `source` (a file or a folder) and return a report of each.
+
+    Raises:
+        FileNotFoundError: no log there.
+        OSError: a file cannot be opened.
+    """
+    reports = []
+    for parts in find_logs(source):
+        with open_log(*parts) as log:
+            report = LogReport(list(parts), log.metadata)
+            for record in log.records():
+                report.add(record)
+            report.breaks = log.breaks
+            report.finished = all(file.finished for file in log.files)
+            reports.append(report)
+    return reports

@@ -1,0 +1,335 @@
+"""Messages as Foxglove, Lichtblick and Rerun know them: Foxglove's protobuf schemas, as extra channels of a log.
+
+Nothing in here knows the arena's constants or the palette: whoever makes a `Viewer` hands them over as an `Appearance`, because
+the log stands on the same floor as the rooms that define them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+from foxglove import messages as fox
+from numpy.typing import NDArray
+
+from schemas import (
+    GOAL_COUNT,
+    ROBOTS,
+    STATE_IMAGE_SIZE,
+    TOPICS,
+    ColorImage,
+    Control,
+    DepthImage,
+    Episode,
+    Gap,
+    Health,
+    Intrinsics,
+    Layout,
+    MalformedMessage,
+    Message,
+    Plan,
+    Pose,
+    PredictReply,
+    StateImage,
+    decode,
+)
+
+ARENA_FRAME = "arena"
+_GOALS_A_SIDE = 11
+_GOAL_SPACING = 0.1  # m; as Plan.values describes it
+_CELL_PIXELS = 20
+_LOWEST_PICTURE = 32
+
+Picture = NDArray[np.uint8]
+
+
+class ViewerMessage(NamedTuple):
+    """A message for viewers.
+
+    Attributes:
+        topic: below `viewer/`.
+        schema_name, schema: Foxglove's name, and the serialised FileDescriptorSet.
+        payload: protobuf.
+    """
+
+    topic: str
+    schema_name: str
+    schema: bytes
+    payload: bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Appearance:
+    """What things look like.
+
+    Attributes:
+        palette: uint8 [n, 3], red green blue of the state image's indices.
+        robot_radius, robot_height: m.
+        robot_colors: robot -> red, green, blue, each 0..255.
+    """
+
+    palette: Picture
+    robot_radius: float
+    robot_height: float
+    robot_colors: dict[str, tuple[int, int, int]]
+
+
+_schemas: dict[str, tuple[str, bytes]] = {}
+
+
+def _as_viewer_message(topic: str, message: Any) -> ViewerMessage:
+    kind = type(message).__name__
+    known = _schemas.get(kind)
+    if known is None:
+        schema = message.get_schema()
+        known = _schemas[kind] = (schema.name, schema.data)
+    return ViewerMessage(topic, *known, message.encode())
+
+
+def _time(message: Message) -> fox.Timestamp:
+    return fox.Timestamp(sec=message.stamp // 1_000_000_000 % 2**32, nsec=message.stamp % 1_000_000_000)
+
+
+def _place(x: float, y: float, z: float, heading: float = 0.0) -> fox.Pose:
+    return fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_turned(heading))
+
+
+def _turned(heading: float) -> fox.Quaternion:
+    return fox.Quaternion(x=0.0, y=0.0, z=math.sin(heading / 2), w=math.cos(heading / 2))
+
+
+def _color(red: float, green: float, blue: float, alpha: float = 1.0) -> fox.Color:
+    return fox.Color(r=red / 255, g=green / 255, b=blue / 255, a=alpha)
+
+
+def _image(message: Message, frame: str, picture: Picture) -> fox.RawImage:
+    height, width, _ = picture.shape
+    return fox.RawImage(
+        timestamp=_time(message),
+        frame_id=frame,
+        width=width,
+        height=height,
+        encoding="rgb8",
+        step=3 * width,
+        data=picture.tobytes(),
+    )
+
+
+def _camera_image(message: DepthImage | ColorImage, robot: str, encoding: str, pixel: int) -> fox.RawImage:
+    """A picture of few rows (the one-row camera) is shown with its rows repeated, or nobody would see it."""
+    repeats = -(-_LOWEST_PICTURE // message.height) if message.height < _LOWEST_PICTURE else 1
+    step = message.width * pixel
+    data = message.data
+    if repeats > 1:
+        data = b"".join(data[row * step : (row + 1) * step] * repeats for row in range(message.height))
+    return fox.RawImage(
+        timestamp=_time(message),
+        frame_id=f"{robot}/camera",
+        width=message.width,
+        height=message.height * repeats,
+        encoding=encoding,
+        step=step,
+        data=data,
+    )
+
+
+def _calibration(message: DepthImage, robot: str, lens: Intrinsics) -> fox.CameraCalibration:
+    return fox.CameraCalibration(
+        timestamp=_time(message),
+        frame_id=f"{robot}/camera",
+        width=message.width,
+        height=message.height,
+        distortion_model="plumb_bob",
+        D=[0.0] * 5,
+        K=[lens.fx, 0.0, lens.cx, 0.0, lens.fy, lens.cy, 0.0, 0.0, 1.0],
+        R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        P=[lens.fx, 0.0, lens.cx, 0.0, 0.0, lens.fy, lens.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
+    )
+
+
+def value_picture(values: tuple[float | None, ...], goal: int | None) -> Picture:
+    """Return the value map as a picture, uint8 [220, 220, 3].
+
+    The far side is at the top; green is safe, red is not, grey is blocked, the chosen goal has a white frame.
+    """
+    grid = np.array([np.nan if value is None else value for value in values]).reshape(_GOALS_A_SIDE, _GOALS_A_SIDE)
+    open_goals = ~np.isnan(grid)
+    low, high = (float(grid[open_goals].min()), float(grid[open_goals].max())) if open_goals.any() else (0.0, 1.0)
+    danger = np.nan_to_num((grid - low) / max(high - low, 1e-9))
+    picture = np.empty((_GOALS_A_SIDE, _GOALS_A_SIDE, 3), np.uint8)
+    picture[..., 0] = 30 + 200 * danger
+    picture[..., 1] = 30 + 170 * (1 - danger)
+    picture[..., 2] = 60
+    picture[~open_goals] = 128
+    large = np.kron(picture, np.ones((_CELL_PIXELS, _CELL_PIXELS, 1), np.uint8))
+    if goal is not None:
+        row, column = divmod(goal, _GOALS_A_SIDE)
+        cell = large[row * _CELL_PIXELS : (row + 1) * _CELL_PIXELS, column * _CELL_PIXELS : (column + 1) * _CELL_PIXELS]
+        inside = cell[3:-3, 3:-3].copy()
+        cell[:] = 255
+        cell[3:-3, 3:-3] = inside
+    return cast(Picture, np.ascontiguousarray(large[::-1]))
+
+
+class Viewer:
+    """Translates messages of the bus; see `translate`."""
+
+    def __init__(self, appearance: Appearance) -> None:
+        self._appearance = appearance
+        self._translations: dict[type[Message], Callable[[str, Any], list[tuple[str, Any]]]] = {
+            Pose: self._pose,
+            DepthImage: self._depth,
+            ColorImage: self._picture,
+            StateImage: self._state_image,
+            Layout: self._layout,
+            Plan: self._plan,
+            PredictReply: self._predicted_views,
+            Episode: self._episode,
+            Health: self._health,
+            Gap: self._gap,
+            Control: self._control,
+        }
+
+    def translate(self, key: str, payload: bytes) -> list[ViewerMessage]:
+        """Return what viewers shall see of a message; nothing for a key or bytes that mean nothing to them."""
+        topic = TOPICS.get(key)
+        translation = self._translations.get(topic.type) if topic else None
+        if topic is None or translation is None:
+            return []
+        try:
+            message = decode(topic.type, payload)
+        except MalformedMessage:
+            return []
+        return [_as_viewer_message(name, shown) for name, shown in translation(key, message)]
+
+    def _pose(self, key: str, message: Pose) -> list[tuple[str, Any]]:
+        robot = key.partition("/")[0]
+        shown = fox.PoseInFrame(
+            timestamp=_time(message), frame_id=ARENA_FRAME, pose=_place(message.x, message.y, 0.0, message.heading)
+        )
+        frame = fox.FrameTransform(
+            timestamp=_time(message),
+            parent_frame_id=ARENA_FRAME,
+            child_frame_id=robot,
+            translation=fox.Vector3(x=message.x, y=message.y, z=0.0),
+            rotation=_turned(message.heading),
+        )
+        return [(key, shown), ("frames", frame)]
+
+    def _depth(self, key: str, message: DepthImage) -> list[tuple[str, Any]]:
+        robot = key.partition("/")[0]
+        # The optical frame: z forward, x right, y down.
+        camera = fox.FrameTransform(
+            timestamp=_time(message),
+            parent_frame_id=robot,
+            child_frame_id=f"{robot}/camera",
+            translation=fox.Vector3(x=0.0, y=0.0, z=message.intrinsics.mount_height),
+            rotation=fox.Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5),
+        )
+        return [
+            (key, _camera_image(message, robot, "16UC1", 2)),
+            (f"{robot}/calibration", _calibration(message, robot, message.intrinsics)),
+            ("frames", camera),
+        ]
+
+    def _picture(self, key: str, message: ColorImage) -> list[tuple[str, Any]]:
+        return [(key, _camera_image(message, key.partition("/")[0], "rgb8", 3))]
+
+    def _state_image(self, key: str, message: StateImage) -> list[tuple[str, Any]]:
+        indices = np.frombuffer(message.data, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)
+        return [(key, _image(message, ARENA_FRAME, np.take(self._appearance.palette, indices, axis=0, mode="clip")))]
+
+    def _layout(self, _key: str, message: Layout) -> list[tuple[str, Any]]:
+        thin = 0.002
+        floor = fox.CubePrimitive(
+            pose=_place(message.width / 2, message.depth / 2, -thin),
+            size=fox.Vector3(x=message.width, y=message.depth, z=thin),
+            color=_color(225, 225, 225),
+        )
+        boxes = [
+            fox.CubePrimitive(
+                pose=_place(box.x, box.y, box.height / 2, box.heading),
+                size=fox.Vector3(x=2 * box.half_width, y=2 * box.half_depth, z=box.height),
+                color=_color(90, 90, 100),
+            )
+            for box in message.obstacles
+        ]
+        entities = [fox.SceneEntity(timestamp=_time(message), frame_id=ARENA_FRAME, id="layout", cubes=[floor, *boxes])]
+        looks = self._appearance
+        for robot in ROBOTS:
+            body = fox.CylinderPrimitive(
+                pose=_place(0.0, 0.0, looks.robot_height / 2),
+                size=fox.Vector3(x=2 * looks.robot_radius, y=2 * looks.robot_radius, z=looks.robot_height),
+                bottom_scale=1.0,
+                top_scale=1.0,
+                color=_color(*looks.robot_colors[robot]),
+            )
+            nose = fox.ArrowPrimitive(
+                pose=_place(0.0, 0.0, looks.robot_height),
+                shaft_length=looks.robot_radius,
+                shaft_diameter=0.012,
+                head_length=0.03,
+                head_diameter=0.03,
+                color=_color(20, 20, 20),
+            )
+            entity = fox.SceneEntity(
+                timestamp=_time(message), frame_id=robot, id=robot, frame_locked=True, cylinders=[body], arrows=[nose]
+            )
+            entities.append(entity)
+        return [("scene", fox.SceneUpdate(entities=entities))]
+
+    def _plan(self, key: str, message: Plan) -> list[tuple[str, Any]]:
+        shown: list[tuple[str, Any]] = []
+        if len(message.values) == GOAL_COUNT:
+            values = np.array([np.nan if value is None else value for value in message.values], np.float32)
+            grid = fox.Grid(
+                timestamp=_time(message),
+                frame_id=ARENA_FRAME,
+                pose=_place(_GOAL_SPACING / 2, _GOAL_SPACING / 2, 0.001),
+                column_count=_GOALS_A_SIDE,
+                cell_size=fox.Vector2(x=_GOAL_SPACING, y=_GOAL_SPACING),
+                row_stride=4 * _GOALS_A_SIDE,
+                cell_stride=4,
+                fields=[fox.PackedElementField(name="value", offset=0, type=fox.PackedElementFieldNumericType.Float32)],
+                data=values.tobytes(),
+            )
+            shown.append((f"{key}/values", grid))
+            shown.append((f"{key}/picture", _image(message, ARENA_FRAME, value_picture(message.values, message.goal))))
+        path = np.frombuffer(message.path, np.float32).reshape(-1, 3)
+        line = fox.LinePrimitive(
+            type=fox.LinePrimitiveLineType.LineStrip,
+            thickness=0.008,
+            points=[fox.Point3(x=float(x), y=float(y), z=0.005) for x, y, _ in path if math.isfinite(x) and math.isfinite(y)],
+            color=_color(*self._appearance.robot_colors["hider"], 0.9),
+        )
+        entity = fox.SceneEntity(timestamp=_time(message), frame_id=ARENA_FRAME, id="plan", lines=[line])
+        shown.append((f"{key}/path", fox.SceneUpdate(entities=[entity])))
+        return shown
+
+    def _predicted_views(self, _key: str, message: PredictReply) -> list[tuple[str, Any]]:
+        if not message.views:
+            return []
+        views = [np.frombuffer(view, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3) for view in message.views]
+        return [("predictor/views", _image(message, ARENA_FRAME, np.concatenate(views, axis=1)))]
+
+    def _text(self, message: Message, name: str, text: str, level: fox.LogLevel = fox.LogLevel.Info) -> list[tuple[str, Any]]:
+        return [("text", fox.Log(timestamp=_time(message), level=level, name=name, message=text))]
+
+    def _episode(self, _key: str, message: Episode) -> list[tuple[str, Any]]:
+        ending = f": {message.outcome} {message.reason}".rstrip() if message.phase in ("ended", "aborted") else ""
+        level = fox.LogLevel.Warning if message.phase == "aborted" else fox.LogLevel.Info
+        return self._text(message, "referee", f"episode {message.episode} (seed {message.seed}) {message.phase}{ending}", level)
+
+    def _health(self, _key: str, message: Health) -> list[tuple[str, Any]]:
+        level = fox.LogLevel.Warning if message.state == "degraded" else fox.LogLevel.Debug
+        return self._text(message, message.service, f"{message.state} {message.reason}".rstrip(), level)
+
+    def _gap(self, _key: str, message: Gap) -> list[tuple[str, Any]]:
+        text = f"{message.missed} messages of {message.key} from {message.publisher} lost"
+        return self._text(message, "recorder", text, fox.LogLevel.Error)
+
+    def _control(self, _key: str, message: Control) -> list[tuple[str, Any]]:
+        return self._text(message, "control", f"{message.action}: {message.games} games from seed {message.seed}")
