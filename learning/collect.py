@@ -190,7 +190,8 @@ def play_block(settings: CollectSettings, block: range, trajectories: Trajectori
     games = steps = 0
     partial = path.with_suffix(".partial")
     partial.unlink(missing_ok=True)
-    with LogWriter(partial, metadata, compression="lz4", sync=False) as writer:
+    # No flush by the wall clock: chunks, and so the file's bytes, depend on the messages alone.
+    with LogWriter(partial, metadata, compression="lz4", sync=False, flush_period=2**62) as writer:
 
         def record() -> bool:
             nonlocal games, steps

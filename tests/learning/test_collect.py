@@ -1,0 +1,106 @@
+"""Collection: the same seed gives the same game, message for message; every policy plays; plans do not know of catches."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from learning.collect import CollectSettings, log_path, main, play_block, read_trajectories
+from learning.hiders.table import HIDERS
+from schemas import Plan, Pose, Rules
+from vantage.log.episodes import episodes
+from vantage.log.reader import read
+
+
+def collect(folder: Path, hider: str = "goal-walk", episodes: int = 3, **rules: object) -> Path:
+    settings = CollectSettings(episodes=episodes, hider=hider, to=folder, rules=Rules(maximum_steps=120, **rules))  # type: ignore[arg-type]
+    path = folder / f"{hider}.mcap"
+    play_block(settings, range(1, episodes + 1), tuple(np.arange(n) % 5 for n in (30, 200)), path)
+    return path
+
+
+def said(path: Path) -> dict[str, list[object]]:
+    topics: dict[str, list[object]] = {}
+    for record in read(path):
+        message = record.decode()
+        if isinstance(message, Plan):
+            message = replace(message, elapsed=0.0)
+        topics.setdefault(record.key, []).append(message)
+    return topics
+
+
+def test_the_same_seed_gives_the_same_game_message_for_message(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "b").mkdir()
+    first, second = said(collect(tmp_path / "a")), said(collect(tmp_path / "b"))
+    assert first == second
+    assert len(first["hider/command"]) > 3
+
+
+@pytest.mark.parametrize("hider", sorted(HIDERS))
+def test_every_policy_plays_whole_games(tmp_path: Path, hider: str) -> None:
+    games = list(episodes(read(collect(tmp_path, hider))))
+    assert len(games) == 3
+    for game in games:
+        assert game.complete
+        assert game.episode.players.hider == hider
+        assert set(game.commands["hider"]) == set(game.commands["seeker"]) == set(range(game.steps))
+
+
+@pytest.mark.parametrize("hider", ["goal-walk", "random", "replay"])
+def test_plans_reach_to_the_end_of_the_horizon_whatever_happens(tmp_path: Path, hider: str) -> None:
+    for game in episodes(read(collect(tmp_path, hider))):
+        assert min(game.plans) == 0
+        for step, plan in game.plans.items():
+            path = np.frombuffer(plan.path, np.float32).reshape(-1, 3)
+            assert len(path) == 121 - step
+            pose = game.poses["hider"][step]
+            assert path[0] == pytest.approx((pose.x, pose.y, pose.heading % (2 * np.pi)), abs=1e-5)
+
+
+def test_the_plan_in_force_is_what_happens_until_it_is_replaced(tmp_path: Path) -> None:
+    checked = 0
+    for game in episodes(read(collect(tmp_path, episodes=6))):
+        starts = [*sorted(game.plans), game.steps + 1]
+        for start, end in zip(starts, starts[1:], strict=False):
+            path = np.frombuffer(game.plans[start].path, np.float32).reshape(-1, 3)
+            for step in range(start, end):
+                pose = game.poses["hider"][step]
+                refused = step == end - 1 and end <= game.steps
+                if not refused:
+                    assert path[step - start, :2] == pytest.approx((pose.x, pose.y), abs=1e-5)
+                    checked += 1
+    assert checked > 50
+
+
+def test_an_evader_recorded_without_catches_can_be_replayed(tmp_path: Path) -> None:
+    path = collect(tmp_path, "scripted", catching=False)
+    trajectories = list(read_trajectories(tmp_path))
+    assert [len(primitives) for primitives in trajectories] == [120] * 3
+    poses = [record.decode() for record in read(path, topics=("hider/pose",))]
+    assert all(isinstance(pose, Pose) for pose in poses)
+    assert any((primitives != 0).mean() > 0.3 for primitives in trajectories)
+
+
+def test_collect_runs_in_parallel_and_resumes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = CollectSettings(
+        episodes=4, hider="random", to=tmp_path, block=2, workers=2, rules=Rules(maximum_steps=20)
+    )
+    assert main(settings) == 0
+    logs = sorted(tmp_path.glob("*.mcap"))
+    assert [log_path(settings, range(1, 3)), log_path(settings, range(3, 5))] == logs
+    before = {path: path.read_bytes() for path in logs}
+    logs[1].unlink()
+    assert main(settings) == 0
+    assert "1 of 2 logs are there already" in capsys.readouterr().out
+    assert {path: said(path) for path in logs}
+    assert logs[0].read_bytes() == before[logs[0]]
+    assert logs[1].read_bytes() == before[logs[1]]
+
+
+def test_unknown_hiders_and_missing_trajectories_are_clear_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(CollectSettings(hider="nobody", to=tmp_path)) == 2
+    assert "goal-walk" in capsys.readouterr().err
+    assert main(CollectSettings(hider="replay", to=tmp_path)) == 2
+    assert "--from-logs" in capsys.readouterr().err
