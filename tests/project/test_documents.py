@@ -43,7 +43,9 @@ def test_every_link_to_a_file_leads_somewhere(page: str) -> None:
 
 @pytest.mark.parametrize("page", PAGES)
 def test_every_file_named_in_a_page_exists(page: str) -> None:
-    named = re.findall(r"`((?:vantage|services|schemas|learning|compose|tests|docs|weights|benchmarks)/[\w/.-]+)`", (ROOT / page).read_text())
+    named = re.findall(
+        r"`((?:vantage|services|schemas|learning|compose|tests|docs|weights|benchmarks)/[\w/.-]+)`", (ROOT / page).read_text()
+    )
     for name in named:
         assert (ROOT / name).exists(), f"{page} names {name}"
 
