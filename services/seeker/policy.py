@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from vantage.compiled import kernel
-from vantage.perception.seen_map import NEVER, SeenMap, block, observe
+from vantage.perception.seen_map import NEVER, SeenMap, measure, observe, too_near
 from vantage.perception.state_image import SEEN_COLUMNS
 from vantage.world.arena import FORWARD, GOALS, LEFT, RIGHT, ROBOT_RADIUS, STAY, STEP_LENGTH
 from vantage.world.motion import heading_number
 from vantage.world.noise import uniform
-from vantage.world.search import CELL_SIZE, CELLS, CLEARANCE, cell_of, find_path, follow
+from vantage.world.search import CELL_SIZE, CELLS, CLEARANCE, COST_SCALE, cell_of, find_path, follow
 
 
 class Attention(NamedTuple):
@@ -43,11 +43,13 @@ RECALLED = 0.030  # m from the last known place at which it counts as reached
 VISITED = 0.060  # m from a place to explore at which it counts as reached
 REFRESH = 0.050  # m that the hider moves before a path round obstacles is planned anew
 NARROW = ROBOT_RADIUS + 0.006  # m kept from boundary cells where no path keeps CLEARANCE
+DETOUR = 30.0  # steps that a way through a narrow gap must save
 BUMP_STEPS = 80  # steps for which a place that refused a move is avoided
 NEVER_AGE = 100  # steps added to the age of a place that was never in view
 AGE_NOISE = 60.0  # steps, width of the uniform noise on a place's age
 TRAVEL_WEIGHT = 0.5  # by which the steps to a place lower its age
 EXPLORATION_STREAM = 16  # of vantage.world.noise
+LEAVING = 0.050  # m for which a straight line may run through the blocked cells that the robot stands in
 WAYPOINTS = 64
 
 # Rows of SeekerMemory.numbers
@@ -62,7 +64,7 @@ class SeekerMemory(NamedTuple):
     Attributes:
         occupancy, last_seen: the seen map, [48, 48].
         bumps: int32 [48, 48], the step until which a cell is avoided because a move into it was refused.
-        blocked: bool [48, 48], cells that paths avoid.
+        squares: uint8 [48, 48], squared distance in cells to the nearest boundary cell or wall, 0 where a move was refused.
         waypoints: float64 [64, 3], the path, of which the first `numbers[_COUNT]` rows count.
         numbers: int64 [10], points: float64 [3, 2] (m): see the row names.
     """
@@ -70,7 +72,7 @@ class SeekerMemory(NamedTuple):
     occupancy: npt.NDArray[np.uint8]
     last_seen: npt.NDArray[np.int32]
     bumps: npt.NDArray[np.int32]
-    blocked: npt.NDArray[np.bool_]
+    squares: npt.NDArray[np.uint8]
     waypoints: npt.NDArray[np.float64]
     numbers: npt.NDArray[np.int64]
     points: npt.NDArray[np.float64]
@@ -82,7 +84,7 @@ class SeekerMemory(NamedTuple):
             seen.occupancy,
             seen.last_seen,
             np.zeros((CELLS, CELLS), np.int32),
-            np.zeros((CELLS, CELLS), np.bool_),
+            np.zeros((CELLS, CELLS), np.uint8),
             np.zeros((WAYPOINTS, 3)),
             np.zeros(10, np.int64),
             np.full((3, 2), np.nan),
@@ -110,7 +112,7 @@ def reset(memory: SeekerMemory) -> None:
     memory.numbers[:] = 0
     memory.numbers[_PLACE] = -1
     memory.points[:] = np.nan
-    block(memory.occupancy, CLEARANCE, memory.blocked)
+    measure(memory.occupancy, memory.squares)
 
 
 @kernel
@@ -120,13 +122,13 @@ def forget_primitive(memory: SeekerMemory) -> None:
 
 
 @kernel
-def _update_blocked(memory, step, clearance):  # type: ignore[no-untyped-def]
-    block(memory.occupancy, clearance, memory.blocked)
+def _update_squares(memory, step):  # type: ignore[no-untyped-def]
+    measure(memory.occupancy, memory.squares)
     if memory.numbers[_BUMPED] > step:
         for row in range(CELLS):
             for column in range(CELLS):
                 if memory.bumps[row, column] > step:
-                    memory.blocked[row, column] = True
+                    memory.squares[row, column] = 0
 
 
 @kernel
@@ -142,13 +144,17 @@ def _note_bump(memory, step, x, y, heading):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _line_is_free(blocked, from_x, from_y, to_x, to_y, spared):  # type: ignore[no-untyped-def]
-    """Whether a line but for its last `spared` m crosses no blocked cell."""
+def _line_is_free(squares, from_x, from_y, to_x, to_y, spared):  # type: ignore[no-untyped-def]
+    """Whether a line but for its last `spared` m crosses no cell nearer than NARROW; leaving one within LEAVING m is allowed."""
     length = math.hypot(to_x - from_x, to_y - from_y)
-    samples = int(math.ceil(max(length - spared, 0.0) / (0.5 * CELL_SIZE)))  # noqa: RUF046
+    samples = math.ceil(max(length - spared, 0.0) / (0.5 * CELL_SIZE))
+    leaving = True
     for i in range(samples):
-        part = i * 0.5 * CELL_SIZE / length
-        if blocked[cell_of(from_y + part * (to_y - from_y)), cell_of(from_x + part * (to_x - from_x))]:
+        along = i * 0.5 * CELL_SIZE
+        part = along / length
+        if squares[cell_of(from_y + part * (to_y - from_y)), cell_of(from_x + part * (to_x - from_x))] >= too_near(NARROW):
+            leaving = False
+        elif not leaving or along > LEAVING:
             return False
     return True
 
@@ -158,7 +164,7 @@ def _path_is_free(memory, x, y, spared):  # type: ignore[no-untyped-def]
     index = max(memory.numbers[_INDEX], 1)
     for i in range(index, memory.numbers[_COUNT]):
         last = spared if i == memory.numbers[_COUNT] - 1 else 0.0
-        if not _line_is_free(memory.blocked, x, y, memory.waypoints[i, 0], memory.waypoints[i, 1], last):
+        if not _line_is_free(memory.squares, x, y, memory.waypoints[i, 0], memory.waypoints[i, 1], last):
             return False
         x, y = memory.waypoints[i, 0], memory.waypoints[i, 1]
     return True
@@ -187,24 +193,51 @@ def _go_straight(memory, x, y, to_x, to_y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _go(memory, step, x, y, heading, to_x, to_y, spared):  # type: ignore[no-untyped-def]
+def _take_path(memory, waypoints, x, y, spared):  # type: ignore[no-untyped-def]
+    """Adopt a path of the grid, pulled taut: from each place on straight to the last waypoint that can be seen from it."""
+    memory.waypoints[0, 0], memory.waypoints[0, 1], memory.waypoints[0, 2] = x, y, 1.0
+    count, last = 1, len(waypoints) - 1
+    index = 0
+    while index < last and count < WAYPOINTS:
+        here_x, here_y = memory.waypoints[count - 1, 0], memory.waypoints[count - 1, 1]
+        following = last
+        while following > index + 1:
+            if _line_is_free(
+                memory.squares,
+                here_x,
+                here_y,
+                waypoints[following, 0],
+                waypoints[following, 1],
+                spared if following == last else 0.0,
+            ):
+                break
+            following -= 1
+        memory.waypoints[count] = waypoints[following]
+        index = following
+        count += 1
+    memory.numbers[_COUNT], memory.numbers[_INDEX] = count, 1
+
+
+@kernel
+def _go(memory, x, y, heading, to_x, to_y, spared):  # type: ignore[no-untyped-def]
     """Plan to a place: straight where that is free, else by A*, and by A* through narrow gaps. Returns whether there is a way."""
-    if _line_is_free(memory.blocked, x, y, to_x, to_y, spared):
+    if _line_is_free(memory.squares, x, y, to_x, to_y, spared):
         _go_straight(memory, x, y, to_x, to_y)
         return True
-    for attempt in range(2):
-        if attempt == 1:
-            _update_blocked(memory, step, NARROW)
-        goal_x, goal_y = _free_cell_near(memory.blocked, to_x, to_y)
-        if goal_x == goal_x:
-            waypoints, _ = find_path(memory.blocked, x, y, heading, goal_x, goal_y, False)
-            if len(waypoints) > 0:
-                count = min(len(waypoints), WAYPOINTS)
-                memory.waypoints[:count] = waypoints[:count]
-                memory.numbers[_COUNT], memory.numbers[_INDEX] = count, 1
-                return True
+    direct = math.hypot(to_x - x, to_y - y) / STEP_LENGTH
+    best = np.inf
     memory.numbers[_COUNT] = 0
-    return False
+    for clearance in (NARROW,):
+        blocked = memory.squares < too_near(clearance)
+        goal_x, goal_y = _free_cell_near(blocked, to_x, to_y)
+        if goal_x == goal_x:
+            waypoints, cost = find_path(blocked, x, y, heading, goal_x, goal_y, False)
+            if len(waypoints) > 0 and cost / COST_SCALE < best - DETOUR:
+                _take_path(memory, waypoints, x, y, spared)
+                best = cost / COST_SCALE
+        if best < 1.5 * direct + DETOUR:
+            break
+    return memory.numbers[_COUNT] > 0
 
 
 @kernel
@@ -214,7 +247,7 @@ def _choose_place(memory, seed, step, x, y, heading):  # type: ignore[no-untyped
     for place in range(len(GOALS)):
         place_x, place_y = GOALS[place, 0], GOALS[place, 1]
         row, column = cell_of(place_y), cell_of(place_x)
-        if memory.blocked[row, column]:
+        if memory.squares[row, column] < too_near(CLEARANCE):
             scores[place] = -np.inf
             continue
         age = 0.0
@@ -233,7 +266,7 @@ def _choose_place(memory, seed, step, x, y, heading):  # type: ignore[no-untyped
         best = np.argmax(scores)
         if scores[best] == -np.inf:
             break
-        if _go(memory, step, x, y, number, GOALS[best, 0], GOALS[best, 1], 0.0):
+        if _go(memory, x, y, number, GOALS[best, 0], GOALS[best, 1], 0.0):
             memory.numbers[_PLACE], memory.numbers[_CHOSEN] = best, step
             return
         scores[best] = -np.inf
@@ -304,7 +337,7 @@ def seeker_step(
 
     added = observe(memory.occupancy, memory.last_seen, step, ranges, kinds, fx, cx, x, y, heading)
     if added > 0 or replan:
-        _update_blocked(memory, step, CLEARANCE)
+        _update_squares(memory, step)
         numbers[_REPLAN] = 1
 
     if touching:  # only where catches are ignored
@@ -339,7 +372,7 @@ def seeker_step(
         elif replan:
             points[_PLANNED, 0], points[_PLANNED, 1] = points[_TARGET, 0], points[_TARGET, 1]
             spared = CONTACT if numbers[_MODE] == CHASE else 0.0
-            if not _go(memory, step, x, y, number, points[_TARGET, 0], points[_TARGET, 1], spared):
+            if not _go(memory, x, y, number, points[_TARGET, 0], points[_TARGET, 1], spared):
                 _go_straight(memory, x, y, points[_TARGET, 0], points[_TARGET, 1])
         primitive, index = follow(x, y, number, memory.waypoints[: numbers[_COUNT]], numbers[_INDEX])
         numbers[_INDEX] = index

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from vantage.compiled import kernel
 from vantage.perception.scan import NOTHING, SURFACE
-from vantage.world.arena import ARENA_SIZE
 from vantage.world.motion import box_distance
 from vantage.world.search import CELL_SIZE, CELLS
 
@@ -22,6 +21,8 @@ NEVER = -1
 
 FREE_MARGIN = 0.020  # m by which a surface must lie behind an unknown cell's centre for the cell to count as free
 CLEARED_MARGIN = 0.035  # the same for a cell marked boundary: more than half its diagonal and twice the depth noise
+MEASURED = 4  # cells up to which distances to boundary cells are exact
+MEASURED_DISTANCE = MEASURED * CELL_SIZE
 BOX_MARGIN = 0.4 * CELL_SIZE  # m from a box within which a cell's centre makes it boundary in the privileged map
 
 
@@ -113,38 +114,48 @@ def observe(
 
 
 @kernel
-def block(occupancy: npt.NDArray[np.uint8], clearance: float, blocked_out: npt.NDArray[np.bool_]) -> None:
-    """`blocked` into an array bool [48, 48] of the caller's."""
-    reach = math.ceil(clearance / CELL_SIZE)
+def measure(occupancy: npt.NDArray[np.uint8], squares_out: npt.NDArray[np.uint8]) -> None:
+    """Squared distance, in cells, of each cell's centre to the nearest boundary cell's centre or wall: uint8 [48, 48].
+
+    Exact up to MEASURED cells away, beyond that any greater number.
+    """
     for row in range(CELLS):
-        near_wall = row * CELL_SIZE < clearance - 1e-9 or ARENA_SIZE - row * CELL_SIZE < clearance - 1e-9
+        from_wall = min(row, CELLS - row)
         for column in range(CELLS):
-            beside = min(column * CELL_SIZE, ARENA_SIZE - column * CELL_SIZE)
-            blocked_out[row, column] = near_wall or beside < clearance - 1e-9
-    spans = np.empty(reach + 1, np.int64)  # cells to either side that are too near, by rows away
-    for rows in range(reach + 1):
-        spans[rows] = -1
-        for columns in range(reach + 1):
-            if CELL_SIZE * math.hypot(rows, columns) < clearance - 1e-9:
-                spans[rows] = columns
+            wall = min(from_wall, column, CELLS - column, 15)
+            squares_out[row, column] = wall * wall
     for row in range(CELLS):
         for column in range(CELLS):
             if occupancy[row, column] != BOUNDARY:
                 continue
-            for other in range(max(row - reach, 0), min(row + reach, CELLS - 1) + 1):
-                span = spans[abs(other - row)]
-                for there in range(max(column - span, 0), min(column + span, CELLS - 1) + 1):
-                    blocked_out[other, there] = True
+            first, last = max(column - MEASURED, 0), min(column + MEASURED, CELLS - 1)
+            for other in range(max(row - MEASURED, 0), min(row + MEASURED, CELLS - 1) + 1):
+                rows = (other - row) * (other - row)
+                for there in range(first, last + 1):
+                    square = rows + (there - column) * (there - column)
+                    if square < squares_out[other, there]:
+                        squares_out[other, there] = square
+
+
+@kernel
+def too_near(clearance: float) -> float:
+    """Return the squared distance in cells (see `measure`) below which a cell is nearer than `clearance` (m)."""
+    return (clearance / CELL_SIZE) ** 2 - 1e-6
 
 
 def blocked(occupancy: npt.NDArray[np.uint8], clearance: float) -> npt.NDArray[np.bool_]:
     """Return bool [48, 48]: cells whose centre is nearer than `clearance` (m) to a boundary cell's centre or a wall.
 
     Unknown is traversable (paper: areas behind an object's boundary are free space).
+
+    Raises:
+        ValueError: the clearance is beyond what is measured.
     """
-    result = np.empty((CELLS, CELLS), np.bool_)
-    block(occupancy, clearance, result)
-    return result
+    if clearance > MEASURED_DISTANCE:
+        raise ValueError(f"clearance must not exceed {MEASURED_DISTANCE} m, got {clearance}")
+    squares = np.empty((CELLS, CELLS), np.uint8)
+    measure(occupancy, squares)
+    return squares < too_near(clearance)
 
 
 @kernel
