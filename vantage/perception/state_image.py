@@ -95,8 +95,8 @@ def _end(x: float, y: float, reach: float, direction_x: float, direction_y: floa
             part = min(part, (_SIZE - y) / dy)
         elif y + dy < 0.0:
             part = min(part, -y / dy)
-        dx *= part
-        dy *= part
+        # Held at the edge, from which rounding might take it.
+        return min(float(_SIZE), max(0.0, x + part * dx)), min(float(_SIZE), max(0.0, y + part * dy))
     return x + dx, y + dy
 
 
