@@ -14,6 +14,7 @@ from typing import Annotated
 import tyro
 from rich.console import Console
 from rich.live import Live
+from rich.markup import escape
 from rich.table import Table
 
 from vantage.deployment import Deployment, DeploymentError, deployments
@@ -161,6 +162,9 @@ def status(settings: Status) -> int:
         print(json.dumps(document, indent=2))
     else:
         console.print(_table(verdicts, supervisor))
+        for verdict in verdicts:
+            if not verdict.healthy:
+                console.print(f"[red]{verdict.process.name}[/]: {escape(_one_line(verdict.trouble))}", soft_wrap=True)
     return 0 if healthy else 1
 
 
@@ -224,7 +228,10 @@ def _progress(verdicts: Sequence[Verdict]) -> Table:
     table = Table.grid(padding=(0, 2))
     for verdict in verdicts:
         table.add_row(
-            "[green]✓[/]" if verdict.healthy else "[yellow]…[/]", verdict.process.name, verdict.state, _one_line(verdict.trouble)
+            "[green]✓[/]" if verdict.healthy else "[yellow]…[/]",
+            verdict.process.name,
+            verdict.state,
+            escape(_one_line(verdict.trouble)),
         )
     return table
 
@@ -232,7 +239,7 @@ def _progress(verdicts: Sequence[Verdict]) -> Table:
 def _table(verdicts: Sequence[Verdict], supervisor_memory: int) -> Table:
     table = Table(show_footer=True, box=None, pad_edge=False, header_style="bold")
     total = sum(verdict.process.memory for verdict in verdicts) + supervisor_memory
-    table.add_column("service", "total with supervisord")
+    table.add_column("service", "with supervisord")
     table.add_column("state")
     table.add_column("pid", justify="right")
     table.add_column("restarts", str(sum(verdict.process.restarts for verdict in verdicts)), justify="right")
@@ -240,7 +247,6 @@ def _table(verdicts: Sequence[Verdict], supervisor_memory: int) -> Table:
     table.add_column("memory", _mebibytes(total), justify="right")
     table.add_column("bad", justify="right")
     table.add_column("lost", justify="right")
-    table.add_column("trouble", overflow="fold")
     for verdict in verdicts:
         row = verdict.as_dict()
         process = verdict.process
@@ -254,7 +260,6 @@ def _table(verdicts: Sequence[Verdict], supervisor_memory: int) -> Table:
             _mebibytes(process.memory),
             str(bad),
             str(row["lost"]),
-            _one_line(verdict.trouble),
         )
     return table
 

@@ -105,7 +105,11 @@ class HealthWatch:
                     message = event.decode()
                 except MalformedMessage:
                     continue
-                if isinstance(message, Health) and event.key == f"health/{message.service}":
+                if (
+                    isinstance(message, Health)
+                    and event.publisher == message.service
+                    and event.key == f"health/{message.service}"
+                ):
                     heard = time.monotonic() - max(0.0, (time.time_ns() - message.stamp) / 1e9)
                     self._last[message.service] = (message, heard)
 

@@ -1,0 +1,25 @@
+"""Everything here starts real processes, so it is marked `stack` and runs alone, after the other tests."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tests.stack.table import Table
+
+HERE = Path(__file__).parent
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    for item in items:
+        if HERE in item.path.parents:
+            item.add_marker(pytest.mark.stack)
+
+
+@pytest.fixture(scope="module")
+def table() -> Iterator[Table]:
+    """A whole deployment, up and healthy, in a private folder of its own."""
+    with Table() as running:
+        yield running

@@ -1,0 +1,134 @@
+"""A stranger on the bus says nonsense on every key: no service dies of it, each counts it, and games go on afterwards.
+
+`python -m tests.stack.test_absurd_messages 100000 10000` says that many on *each* key; the suite says as many altogether.
+"""
+
+from __future__ import annotations
+
+import json
+import random
+import sys
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+import zenoh
+
+from schemas import CALLS, TOPICS
+from tests.stack.absurd import random_bytes, shaped
+from tests.stack.table import Table, follow, stop_games, wish
+from vantage.bus.zenoh_bus import ZenohBus
+from vantage.bus.zenoh_session import configuration
+from vantage.check import declaration_of
+from vantage.play import Match
+from vantage.watch import HealthWatch
+
+KEYS = tuple(TOPICS)
+UNDECLARED = "nobody/declared/this"
+Counts = Mapping[tuple[str, str], int]
+
+
+@contextmanager
+def stranger(table: Table) -> Iterator[zenoh.Session]:
+    """A raw Zenoh session on the deployment's sockets: no name, no stamps, none of our code."""
+    with zenoh.open(zenoh.Config.from_json5(json.dumps(configuration("stranger", table.folder)))) as session:
+        yield session
+
+
+def say(session: zenoh.Session, key: str, payloads: Iterator[bytes]) -> int:
+    """Put every payload on a key once somebody listens there; return how many."""
+    publisher = session.declare_publisher(f"vantage/table/{key}", congestion_control=zenoh.CongestionControl.BLOCK)
+    deadline = time.monotonic() + 10
+    while not publisher.matching_status.matching:
+        assert time.monotonic() < deadline, f"nobody listens to {key}"
+        time.sleep(0.01)
+    count = 0
+    for payload in payloads:
+        publisher.put(payload)
+        count += 1
+    publisher.undeclare()
+    return count
+
+
+def ask(session: zenoh.Session, payloads: Iterator[bytes]) -> int:
+    """Ask the predictor each payload, a few at a time; return how many. Every question must get an answer or an error."""
+    count = 0
+    for payload in payloads:
+        (_,) = session.get("vantage/table/predictor", payload=payload, timeout=20.0)
+        count += 1
+    return count
+
+
+def counted(table: Table) -> Counts:
+    """(service, key) -> messages that the service says it got, could not decode or lost, since it started."""
+    with HealthWatch(table.deployment) as watch:
+        table.wait_until_reported(watch)
+        verdicts = watch.verdicts()
+    return {
+        (verdict.process.name, entry.key): entry.received + entry.malformed + entry.lost
+        for verdict in verdicts
+        if verdict.health
+        for entry in verdict.health.inputs
+    }
+
+
+def barrage(table: Table, randoms: int, shapes: int, questions: int) -> float:
+    """Say `randoms` random and `shapes` schema-shaped messages on every key while games run; return the seconds it took."""
+    source = random.Random(7)
+    pids = {process.name: process.pid for process in table.deployment.processes()}
+    with ZenohBus("command-line", table.folder) as bus:
+        match = Match(bus, wish(seed=3, games=1000, steps=200, period=0.05))
+        follow(match, lambda: match.step >= 5, 30.0, "a game runs")
+    before = counted(table)
+    started = time.monotonic()
+    sent = {}
+    with stranger(table) as session:
+        for key in KEYS:
+            kind = TOPICS[key].type
+            sent[key] = say(session, key, (random_bytes(source) for _ in range(randoms)))
+            sent[key] += say(session, key, (shaped(kind, source) for _ in range(shapes)))
+        sent[UNDECLARED] = say(session, UNDECLARED, (random_bytes(source) for _ in range(randoms)))
+        for key, call in CALLS.items():
+            sent[key] = ask(session, (random_bytes(source) for _ in range(questions)))
+            sent[key] += ask(session, (shaped(call.request, source) for _ in range(questions)))
+    expected = [(name, key) for name in table.services() for key in heard_by(name) if key in sent]
+    deadline = time.monotonic() + 60
+    while missing := uncounted(before, counted(table), sent, expected):
+        assert time.monotonic() < deadline, f"not counted in health: {missing}"
+    assert {process.name: process.pid for process in table.deployment.processes()} == pids, "a service died"
+    return time.monotonic() - started
+
+
+def heard_by(service: str) -> tuple[str, ...]:
+    declaration = declaration_of(service)
+    return (*KEYS, UNDECLARED) if declaration.raw else declaration.inputs + declaration.serves
+
+
+def uncounted(before: Counts, after: Counts, sent: Mapping[str, int], expected: list[tuple[str, str]]) -> dict[str, int]:
+    """What of the sent messages health does not show yet."""
+    lacks = {
+        f"{service} {key}": lack
+        for service, key in expected
+        if (lack := sent[key] - (after.get((service, key), 0) - before.get((service, key), 0))) > 0
+    }
+    return lacks
+
+
+def test_no_service_dies_of_nonsense_and_all_is_counted(table: Table) -> None:
+    assert table.started.returncode == 0, table.started.stderr
+    barrage(table, randoms=100_000 // len(KEYS) + 1, shapes=10_000 // len(KEYS) + 1, questions=50)
+
+
+def test_games_go_on_afterwards(table: Table) -> None:
+    stop_games(table.folder)
+    with HealthWatch(table.deployment) as watch:
+        table.wait_until_healthy(watch, 10.0)
+    outcome = table.command("play", "--seed", "5", "--period", "0", "--steps", "30")
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+
+
+if __name__ == "__main__":
+    with Table() as running:
+        seconds = barrage(running, int(sys.argv[1]), int(sys.argv[2]), questions=1000)
+        print(f"{len(KEYS)} keys, {sys.argv[1]} random and {sys.argv[2]} shaped messages each: no service died, {seconds:.0f} s")
+        test_games_go_on_afterwards(running)
