@@ -5,7 +5,7 @@ Embedding; reading, row 9). Both scales are absolute over `SCALE_STEPS` steps, n
 
 * F: a position paints a disc of 21 pixels (5 x 5 without corners, 2.5 pixels or 23 mm of radius). With n positions painted over a
   pixel, waiting and turning included, luminance = 255 (1 - log(1 + n) / log(401)): one position 226, a drive past (about
-  five positions) 179, 300 steps of waiting 12, saturated from 400 on.
+  five positions) 179, 300 waits 12, saturated from 400 on.
 * T: luminance = 255 (1 - t / 400) with t the steps since the path's `start` at the latest visit.
 """
 
@@ -79,7 +79,9 @@ def extend_action_maps(
                 continue
             half = 1 if across == -2 or across == 2 else 2
             for c in range(max(0, column - half), min(_SIZE, column + half + 1)):
-                count = min(SCALE_STEPS, np.int64(counts[r, c]) + run)
+                count = np.int64(counts[r, c]) + run
+                if count > SCALE_STEPS:
+                    count = np.int64(SCALE_STEPS)
                 counts[r, c] = count
                 frequency[r, c] = _FREQUENCY[count]
             for c in range(max(0, column - half), min(_SIZE, column + half + 1)):

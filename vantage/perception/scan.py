@@ -120,7 +120,10 @@ def _scan_rows(
         for u in range(width):
             value = np.int64(depth[v, u])
             if value != 0 and value < limit:
-                counts[u, min(value >> _BIN_SHIFT, _BINS - 1)] += 1
+                number = value >> _BIN_SHIFT
+                if number > _BINS - 1:
+                    number = np.int64(_BINS - 1)
+                counts[u, number] += 1
 
     nearest = np.zeros(width, np.int64)
     farthest = np.zeros(width, np.int64)
