@@ -1,0 +1,264 @@
+"""`vantage convert`: logs -> training set. State images are drawn again from the logged pictures, as the planner draws them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import multiprocessing
+import shutil
+import sys
+import warnings
+from collections import Counter
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import lz4.block
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, SPLITS, STEP
+from schemas import ROBOTS, ColorImage, DepthImage, Episode, MalformedMessage, Message, Plan, Pose
+from vantage.log import find_logs, open_log, source_commit
+from vantage.perception.state_image import perceive
+
+TOPICS = ("episode", "hider/plan", *(f"{robot}/{topic}" for robot in ROBOTS for topic in ("pose", "depth", "color")))
+_POSES = tuple(f"{robot}/pose" for robot in ROBOTS)
+_PICTURES = tuple(f"{robot}/{topic}" for robot in ROBOTS for topic in ("pose", "depth", "color"))
+
+
+@dataclass(frozen=True)
+class ConvertSettings:
+    """Turn logs into a training set.
+
+    Example: vantage convert logs/ --to dataset/
+    """
+
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    """Logs, or folders that hold them."""
+    to: Path = Path("dataset")
+    """Folder of the training set; an older one there is replaced."""
+    workers: int = 0
+    """Processes; 0 = one for each core."""
+
+
+@dataclass
+class Part:
+    """The episodes of one log, with rows counted from 0."""
+
+    episodes: list[tuple[object, ...]] = field(default_factory=list)
+    steps: list[tuple[object, ...]] = field(default_factory=list)
+    plans: list[tuple[int, int, int]] = field(default_factory=list)
+    positions: list[NDArray[np.float32]] = field(default_factory=list)
+    position_count: int = 0
+    images: list[bytes] = field(default_factory=list)
+    left_out: Counter[str] = field(default_factory=Counter)
+
+
+def split_of(seed: int) -> int:
+    """Return the split (index into SPLITS) of an episode: 8 in 10 train, 1 validation, 1 test, by a hash of its seed."""
+    tenth = int.from_bytes(hashlib.sha256(f"split {seed}".encode()).digest()[:8], "little") % 10
+    return 0 if tenth < 8 else tenth - 7
+
+
+@dataclass
+class _Game:
+    """What has been read of one episode."""
+
+    head: Episode
+    messages: dict[tuple[str, int], Message] = field(default_factory=dict)
+    plans: dict[int, Plan] = field(default_factory=dict)
+
+
+def read_messages(parts: list[Path]) -> Iterator[tuple[str, Message]]:
+    """Yield (key, message) of what a training set needs; what is malformed is passed over."""
+    with open_log(*parts) as log:
+        for record in log.records(TOPICS):
+            try:
+                yield record.key, record.decode()
+            except MalformedMessage as error:
+                warnings.warn(f"{parts[0].name}: {record.key}: {error}", stacklevel=2)
+
+
+def convert_messages(messages: Iterable[tuple[str, Message]]) -> Part:
+    """Return the training episodes of one log. Episodes that cannot serve are left out and counted by reason."""
+    part = Part()
+    games: dict[int, _Game] = {}
+    for key, message in messages:
+        if isinstance(message, Episode):
+            if message.phase == "setup":
+                games[message.episode] = _Game(message)
+            elif message.phase in ("ended", "aborted") and message.episode in games:
+                game = games.pop(message.episode)
+                reason = "aborted" if message.phase == "aborted" else _add(part, game, message)
+                if reason:
+                    part.left_out[reason] += 1
+        elif message.episode in games:
+            if isinstance(message, Plan):
+                games[message.episode].plans[message.step] = message
+            else:
+                games[message.episode].messages[key, message.step] = message
+    part.left_out["not finished"] += len(games)
+    return part
+
+
+def _add(part: Part, game: _Game, end: Episode) -> str:
+    """Add an episode; returns why it was left out, or nothing."""
+    if not game.head.rules.catching:
+        return "catches ignored (an evader's trajectory, to be replayed)"
+    if not any(plan.path for plan in game.plans.values()):
+        return "no planned path"
+    last = max((step for _, step in game.messages), default=0) if end.caught_step is None else end.caught_step
+    if any((key, step) not in game.messages for step in range(last + 1) for key in _PICTURES):
+        return "steps missing"
+    first_step, first_plan = len(part.steps), len(part.plans)
+    plan_steps = sorted(step for step, plan in game.plans.items() if plan.path)
+    for step in plan_steps:
+        positions = np.frombuffer(game.plans[step].path, "<f4").reshape(-1, 3)
+        part.plans.append((step, part.position_count, len(positions)))
+        part.positions.append(positions)
+        part.position_count += len(positions)
+    for step in range(last + 1):
+        in_force = int(np.searchsorted(plan_steps, step, side="right")) - 1
+        poses = []
+        for robot in ROBOTS:
+            pose, depth, color = (game.messages[f"{robot}/{topic}", step] for topic in ("pose", "depth", "color"))
+            assert isinstance(pose, Pose) and isinstance(depth, DepthImage) and isinstance(color, ColorImage)
+            part.images.append(lz4.block.compress(perceive(depth, color, pose, robot).image, store_size=False))
+            poses.append((pose.x, pose.y, pose.heading))
+        part.steps.append((*poses, first_plan + in_force if in_force >= 0 else -1))
+    head = game.head
+    part.episodes.append(
+        (
+            head.episode,
+            head.seed,
+            head.players.hider.encode()[:32],
+            head.players.seeker.encode()[:16],
+            head.rules.layout.encode()[:64],
+            first_step,
+            last + 1,
+            -1 if end.caught_step is None else end.caught_step,
+            head.rules.maximum_steps,
+            split_of(head.seed),
+        )
+    )
+    return ""
+
+
+def _convert_log(task: tuple[list[Path], Path]) -> tuple[dict[str, NDArray[np.generic]], int, Counter[str], str]:
+    """Convert one log; its images go to a file, its tables are returned with the log's hash."""
+    parts, images = task
+    part = convert_messages(read_messages(parts))
+    with images.open("wb") as file:
+        file.writelines(part.images)
+    tables: dict[str, NDArray[np.generic]] = {
+        "episodes": np.array(part.episodes, EPISODE),
+        "steps": np.array(part.steps, STEP),
+        "plans": np.array(part.plans, PLAN),
+        "positions": np.concatenate(part.positions) if part.positions else np.empty((0, 3), np.float32),
+        "lengths": np.array([len(image) for image in part.images], np.int64),
+    }
+    digest = hashlib.sha256()
+    for path in parts:
+        with path.open("rb") as file:
+            while block := file.read(1 << 20):
+                digest.update(block)
+    return tables, len(part.images), part.left_out, digest.hexdigest()
+
+
+def convert(sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = False) -> dict[str, object]:
+    """Convert logs into a training set; returns its manifest.
+
+    Raises:
+        FileNotFoundError: there are no logs.
+    """
+    logs = sorted({tuple(parts) for source in sources for parts in find_logs(source)})
+    partial = to.with_name(to.name + ".partial")
+    shutil.rmtree(partial, ignore_errors=True)
+    partial.mkdir(parents=True)
+    tasks = [(list(parts), partial / f"images.{number:06d}") for number, parts in enumerate(logs)]
+    results = []
+    left_out: Counter[str] = Counter()
+    columns = (
+        TextColumn("converting"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("logs"),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, disable=quiet) as progress:
+        bar = progress.add_task("convert", total=len(tasks))
+        for result in _map(tasks, workers):
+            results.append(result)
+            left_out += result[2]
+            progress.advance(bar)
+    tables = {name: np.concatenate([result[0][name] for result in results]) for name in results[0][0]}
+    _shift_rows(tables, [result[0] for result in results])
+    digest = hashlib.sha256()
+    with (partial / "images.lz4").open("wb") as out:
+        for _, piece in tasks:
+            data = piece.read_bytes()
+            digest.update(data)
+            out.write(data)
+            piece.unlink()
+    lengths = tables.pop("lengths")
+    tables["offsets"] = np.concatenate([np.zeros(1, np.int64), np.cumsum(lengths, dtype=np.int64)])
+    for name, table in tables.items():
+        np.save(partial / f"{name}.npy", table)
+        digest.update(table.tobytes())
+    episodes = tables["episodes"]
+    manifest: dict[str, object] = {
+        "schema_version": SCHEMA_VERSION,
+        "commit": source_commit(),
+        "hash": digest.hexdigest(),
+        "episodes": {split: int((episodes["split"] == number).sum()) for number, split in enumerate(SPLITS)},
+        "hiders": dict(sorted(Counter(name.decode() for name in episodes["hider"]).items())),
+        "seekers": dict(sorted(Counter(name.decode() for name in episodes["seeker"]).items())),
+        "layouts": dict(sorted(Counter(name.decode() for name in episodes["layout"]).items())),
+        "horizons": sorted({int(horizon) for horizon in episodes["horizon"]}),
+        "caught": int((episodes["caught_step"] >= 0).sum()),
+        "steps": len(tables["steps"]),
+        "left_out": dict(sorted(left_out.items())),
+        "logs": {parts[0].name: result[3] for (parts, _), result in zip(tasks, results, strict=True)},
+    }
+    (partial / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
+    shutil.rmtree(to, ignore_errors=True)
+    partial.rename(to)
+    return manifest
+
+
+def _map(
+    tasks: list[tuple[list[Path], Path]], workers: int
+) -> Iterator[tuple[dict[str, NDArray[np.generic]], int, Counter[str], str]]:
+    workers = min(workers or multiprocessing.cpu_count(), len(tasks))
+    if workers <= 1:
+        yield from map(_convert_log, tasks)
+        return
+    with multiprocessing.get_context("spawn").Pool(workers) as pool:
+        yield from pool.imap(_convert_log, tasks)
+
+
+def _shift_rows(tables: dict[str, NDArray[np.generic]], parts: list[dict[str, NDArray[np.generic]]]) -> None:
+    """Turn row numbers within a log into row numbers within the whole."""
+    done: Counter[str] = Counter()
+    for part in parts:
+        episodes, steps, plans = (slice(done[name], done[name] + len(part[name])) for name in ("episodes", "steps", "plans"))
+        tables["episodes"]["first_step"][episodes] += done["steps"]
+        in_force = tables["steps"]["plan"][steps]
+        in_force[in_force >= 0] += done["plans"]
+        tables["plans"]["first_position"][plans] += done["positions"]
+        for name in ("episodes", "steps", "plans", "positions"):
+            done[name] += len(part[name])
+
+
+def main(settings: ConvertSettings) -> int:
+    """Convert; returns the exit code."""
+    manifest = convert(settings.logs, settings.to, settings.workers)
+    print(f"{manifest['steps']} steps, episodes {manifest['episodes']}, by hider {manifest['hiders']}, in {settings.to}/")
+    if manifest["left_out"]:
+        print(f"left out: {manifest['left_out']}", file=sys.stderr)
+    return 0

@@ -1,0 +1,333 @@
+"""`vantage train vpt-tob`: learn to predict the seeker's view (paper, VPT-TOB Network). Reads from top to bottom."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from learning.dataset import Batch, Dataset, Samples, prefetch
+from learning.measures import area_under_roc
+from learning.panel import draw_panel
+from vantage.log import source_commit
+from vantage.networks.vpn import Vpn, VpnSettings
+from vantage.networks.vpt_tob import VptTob, VptTobSettings
+from vantage.networks.weights import card_of, fast_device, fast_precision, save
+
+Schedule = Literal["steps", "cosine"]
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How to train. The defaults are the paper's.
+
+    Attributes:
+        samples: how many the network sees (the paper does not say).
+        schedule: `steps` multiplies the learning rate by `drop` at 25 % and 65 % of the progress; `cosine` ends at zero.
+        disc_weight: weight of a pixel that shows a robot, in the squared error. Discs are 2 % of the picture: unweighted, they
+            fade to ghosts at long horizons.
+        head_weight: of the loss of the caught head on the bottleneck, 0 = no head.
+        judge_weight: of the loss of a small VPN that reads the predicted view while it is being learnt, 0 = none. Neither head
+            nor judge is used after training.
+        from_start: share of samples with t0 = 0.
+        symmetries: of the square, by which samples are turned and flipped: 8, 4 or 1.
+    """
+
+    network: VptTobSettings = VptTobSettings()
+    samples: int = 5_000_000
+    batch: int = 256
+    rate: float = 1e-3
+    schedule: Schedule = "steps"
+    drop: float = 0.9
+    disc_weight: float = 1.0
+    head_weight: float = 0.0
+    judge_weight: float = 0.0
+    from_start: float = 0.5
+    symmetries: int = 1
+
+
+PRESETS: dict[str, Recipe] = {
+    "paper": Recipe(),
+    "compact": Recipe(
+        network=VptTobSettings(encoder=(16, 16, 32, 32, 48, 48, 64, 64), decoder=(32, 16, 8), whole_image=True, caught_head=True),
+        samples=800_000,
+        batch=32,
+        schedule="cosine",
+        disc_weight=8.0,
+        head_weight=0.03,
+        judge_weight=0.03,
+        symmetries=8,
+    ),
+}
+
+
+@dataclass(frozen=True)
+class TrainVptTobSettings:
+    """Learn to predict the seeker's view from the hider's view and its planned path.
+
+    Example: vantage train vpt-tob --data dataset/ --preset compact --minutes 40
+    """
+
+    data: Path = Path("dataset")
+    """The training set."""
+    to: Path = Path("weights/vpt-tob.safetensors")
+    """Where the weights go; the model card lies beside them. The checkpoint and the pictures go to runs/."""
+    preset: Literal["paper", "compact"] = "paper"
+    """`paper`: the paper's network and recipe. `compact`: a smaller network and a recipe for an hour on two CPU cores."""
+    minutes: float | None = None
+    """Train for this long instead of a number of samples."""
+    samples: int | None = None
+    """Train on so many samples instead of the preset's number."""
+    batch: int | None = None
+    """Batch size, instead of the preset's."""
+    disc_weight: float | None = None
+    """Weight of the robots' pixels, instead of the preset's."""
+    judge_weight: float | None = None
+    """Weight of the judge's loss, instead of the preset's."""
+    head_weight: float | None = None
+    """Weight of the caught head's loss, instead of the preset's."""
+    run: Path = Path("runs/vpt-tob")
+    """Folder of the checkpoint and of the pictures of predictions."""
+    resume: bool = True
+    """Go on from the checkpoint, if the run's folder holds one."""
+    report_every: int = 16_384
+    """Samples between validations."""
+    checkpoint_minutes: float = 3.0
+    """Minutes between checkpoints."""
+    threads: int = 0
+    """CPU threads; 0 = all cores."""
+    compile: bool = False
+    """Compile the network (30 % faster; takes a minute, and a C++ compiler on a CPU)."""
+    seed: int = 1
+
+
+def resolve(settings: TrainVptTobSettings) -> Recipe:
+    """Return the preset with what the command line changes."""
+    names = ("samples", "batch", "disc_weight", "judge_weight", "head_weight")
+    changed = {name: value for name in names if (value := getattr(settings, name)) is not None}
+    recipe = replace(PRESETS[settings.preset], **changed)
+    return replace(recipe, network=replace(recipe.network, caught_head=recipe.head_weight > 0))
+
+
+def rate_factor(recipe: Recipe, progress: float) -> float:
+    """Return the factor of the learning rate at this progress, 0..1."""
+    if recipe.schedule == "cosine":
+        return max(0.5 * (1.0 + math.cos(math.pi * min(progress, 1.0))), 1e-3)
+    return recipe.drop ** sum(progress >= moment for moment in (0.25, 0.65))
+
+
+def to_tensor(pixels: np.ndarray, device: torch.device) -> Tensor:
+    """uint8 [B, 128, 128, C] -> float32 [B, C, 128, 128] in 0 .. 1, channels last in memory."""
+    return torch.from_numpy(pixels).to(device, non_blocking=True).permute(0, 3, 1, 2).float().mul_(1 / 255)
+
+
+class Trainer:
+    """Networks, optimiser and losses: all that a checkpoint holds."""
+
+    def __init__(self, recipe: Recipe, device: torch.device, compiled: bool, seed: int) -> None:
+        torch.manual_seed(seed)
+        self.recipe, self.device = recipe, device
+        self.precision = fast_precision(device)
+        self.network = VptTob(recipe.network).to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.judge = Vpn(VpnSettings(width=8, dropout=0.0)).to(device) if recipe.judge_weight else None
+        self.parameters = [*self.network.parameters(), *(self.judge.parameters() if self.judge else ())]
+        self.optimizer = torch.optim.Adam(self.parameters, recipe.rate, fused=True)
+        self.predict = torch.compile(self.network.forward_with_head) if compiled else self.network.forward_with_head
+
+    def losses(self, batch: Batch) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
+        """Return the whole loss, the predicted views [B, 3, 128, 128], and parts of the loss and logits by name."""
+        inputs, targets = to_tensor(batch.inputs, self.device), to_tensor(batch.targets, self.device)
+        caught = torch.from_numpy(batch.caught).to(self.device).float()
+        parts: dict[str, Tensor] = {}
+        with torch.autocast(self.device.type, self.precision, enabled=self.precision != torch.float32):
+            views, head = self.predict(inputs)
+            verdict = self.judge(views) if self.judge else None
+        error = (views.float() - targets).square().mean(dim=1)  # [B, 128, 128]
+        parts["mse"] = error.mean()
+        loss = parts["mse"]
+        if self.recipe.disc_weight != 1.0:
+            discs = torch.from_numpy(batch.discs).to(self.device)
+            loss = (error * (1.0 + (self.recipe.disc_weight - 1.0) * discs)).mean()
+        for name, logit, weight in (("head", head, self.recipe.head_weight), ("judge", verdict, self.recipe.judge_weight)):
+            if logit is not None:
+                parts[name] = logit.detach().float()
+                loss = loss + weight * functional.binary_cross_entropy_with_logits(logit.float(), caught)
+        return loss, views, parts
+
+    def learn(self, batch: Batch, factor: float) -> Tensor:
+        """One step of the optimiser; returns the loss."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.recipe.rate * factor
+        loss, _, _ = self.losses(batch)
+        loss.backward()
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        return loss.detach()
+
+    def validate(self, batches: Iterator[Batch]) -> tuple[dict[str, float], tuple[Batch, np.ndarray]]:
+        """Return the mean loss and what else can be said, and the first batch with its predicted views [B, 128, 128, 3]."""
+        modules = [self.network, *([self.judge] if self.judge else [])]
+        for module in modules:
+            module.eval()
+        total, count, first = {"loss": 0.0, "mse": 0.0}, 0, None
+        logits: dict[str, list[Tensor]] = {"head": [], "judge": []}
+        caught = []
+        predict, self.predict = self.predict, self.network.forward_with_head  # compiled anew for this mode it would not pay
+        with torch.inference_mode():
+            for batch in batches:
+                loss, views, parts = self.losses(batch)
+                total["loss"] += loss.item() * len(batch.caught)
+                total["mse"] += parts["mse"].item() * len(batch.caught)
+                count += len(batch.caught)
+                caught.append(batch.caught)
+                for name, values in logits.items():
+                    if name in parts:
+                        values.append(parts[name].cpu())
+                if first is None:
+                    first = batch, views.float().mul(255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
+        self.predict = predict
+        for module in modules:
+            module.train()
+        measures = {name: value / count for name, value in total.items()}
+        truth = np.concatenate(caught)
+        for name, values in logits.items():
+            if values:
+                scores = torch.cat(values).numpy()
+                measures[f"{name} accuracy"] = float(((scores > 0) == truth).mean())
+                measures[f"{name} AUROC"] = area_under_roc(scores, truth)
+        assert first is not None
+        return measures, first
+
+    def state(self) -> dict[str, Any]:
+        judge = self.judge.state_dict() if self.judge else None
+        return {"network": self.network.state_dict(), "judge": judge, "optimizer": self.optimizer.state_dict()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        if self.judge:
+            self.judge.load_state_dict(state["judge"])
+        self.optimizer.load_state_dict(state["optimizer"])
+
+
+def main(settings: TrainVptTobSettings) -> int:
+    """Train; returns the exit code."""
+    torch.set_num_threads(settings.threads or os.cpu_count() or 1)
+    recipe, device, data = resolve(settings), fast_device(), Dataset(settings.data)
+    trainer = Trainer(recipe, device, settings.compile, settings.seed)
+    size = sum(parameter.numel() for parameter in trainer.network.parameters())
+    print(
+        f"VPT-TOB `{settings.preset}`, {size:,} parameters, {device}, {trainer.precision}; {data.manifest['episodes']}",
+        flush=True,
+    )
+
+    checkpoint = settings.run / "checkpoint.pt"
+    identity = {"recipe": asdict(replace(recipe, samples=0)), "data": data.hash}
+    seen, trained, best, best_measures = 0, 0.0, math.inf, {}  # samples, seconds
+    if settings.resume and checkpoint.exists():
+        saved = torch.load(checkpoint, map_location=device, weights_only=True)
+        if saved["identity"] != identity:
+            print(f"{checkpoint} is of another recipe or training set: choose another --run, or --no-resume")
+            return 1
+        trainer.restore(saved["trainer"])
+        seen, trained, best, best_measures = saved["seen"], saved["trained"], saved["best"], saved["best_measures"]
+        print(f"going on after {seen:,} samples, {trained / 60:.1f} minutes")
+
+    validation: Samples = data.draw("validation", 1024, np.random.default_rng(0), recipe.from_start, symmetries=1)
+
+    def batches() -> Iterator[Batch]:
+        number = seen // recipe.batch
+        while True:  # a batch depends on its number alone, so that a resumed run goes on as if never stopped
+            generator = np.random.default_rng([settings.seed, number])
+            yield data.render(data.draw("train", recipe.batch, generator, recipe.from_start, symmetries=recipe.symmetries))
+            number += 1
+
+    def progress() -> float:
+        return trained / (60 * settings.minutes) if settings.minutes else seen / recipe.samples
+
+    def write_checkpoint() -> None:
+        settings.run.mkdir(parents=True, exist_ok=True)
+        state = {"identity": identity, "trainer": trainer.state(), "seen": seen, "trained": trained}
+        partial = checkpoint.with_suffix(".partial")
+        torch.save({**state, "best": best, "best_measures": best_measures}, partial)
+        os.replace(partial, checkpoint)
+
+    stream = prefetch(batches)
+    running, counted, clock, written, reported, report_clock = (
+        torch.zeros((), device=device),
+        0,
+        time.monotonic(),
+        trained,
+        seen,
+        trained,
+    )
+    while (done := progress()) < 1.0:
+        running += trainer.learn(next(stream), rate_factor(recipe, done))
+        counted += 1
+        seen += recipe.batch
+        trained, clock = trained + time.monotonic() - clock, time.monotonic()
+        finished = progress() >= 1.0
+        if seen - reported >= settings.report_every or finished:
+            speed = (seen - reported) / max(trained - report_clock, 1e-9)
+            measures, (batch, views) = trainer.validate(data.batches(validation, 64))
+            draw_panel(settings.run / "latest.png", batch, views)
+            better = measures["loss"] < best
+            if better:
+                best, best_measures = measures["loss"], measures
+                card = card_of(trainer.network)
+                card.preset, card.commit, card.metrics = settings.preset, source_commit(), measures
+                card.data = {key: data.manifest[key] for key in ("hash", "episodes", "hiders", "seekers", "layouts", "horizons")}
+                card.training = {
+                    **asdict(recipe),
+                    "samples": seen,
+                    "minutes": trained / 60,
+                    "device": str(device),
+                    "seed": settings.seed,
+                }
+                card.training.pop("network")
+                card.notes = notes_of(settings.preset, recipe)
+                save(trainer.network, settings.to, card)
+            left = trained * (1 / max(progress(), 1e-9) - 1)
+            parts = "  ".join(f"{name} {value:.4f}" for name, value in measures.items())
+            print(
+                f"{100 * progress():5.1f} %  {seen:>9,} samples  {speed:4.0f}/s  {left / 60:4.0f} min left  loss {running.item() / counted:.4f}"
+                f"  validation: {parts}{'  *' if better else ''}",
+                flush=True,
+            )
+            running.zero_()
+            counted, reported, clock = 0, seen, time.monotonic()
+            report_clock = trained
+        if trained - written >= 60 * settings.checkpoint_minutes or finished:
+            write_checkpoint()
+            written, clock = trained, time.monotonic()
+    print(f"best validation: {best_measures}; weights in {settings.to}")
+    return 0
+
+
+def notes_of(preset: str, recipe: Recipe) -> list[str]:
+    """Return what people should know of weights trained so."""
+    if preset == "paper":
+        notes = ["The paper's network and recipe (docs/paper reading, rows 9 to 12)."]
+    else:
+        notes = ["Not the paper's network: narrower, and its bottleneck sees the whole image (the deeper sibling of row 10)."]
+    changed = [
+        text
+        for differs, text in (
+            (recipe.disc_weight != 1.0, f"pixels of the robots' discs weigh {recipe.disc_weight:g} in the squared error"),
+            (recipe.head_weight > 0, "an auxiliary caught head on the bottleneck, for training only"),
+            (recipe.judge_weight > 0, "a small VPN read the predicted views during training, and its loss was learnt from, too"),
+            (recipe.symmetries > 1, f"{recipe.symmetries} symmetries of the square as augmentation"),
+            (recipe.batch != 256, f"batch {recipe.batch}"),
+            (recipe.schedule != "steps", f"learning rate by {recipe.schedule}"),
+        )
+        if differs
+    ]
+    return [*notes, *([f"Beyond the paper's recipe: {'; '.join(changed)}."] if changed else [])]
