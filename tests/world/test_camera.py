@@ -289,6 +289,13 @@ def test_edges_drop_out_half_the_time_and_nothing_else_does(axis: int) -> None:
     assert (depth > 0).all()
 
 
+def test_a_steep_surface_does_not_drop_out() -> None:
+    depths = np.tile(0.2 + 0.05 * np.arange(20), (20, 1))
+    depth = np.empty((20, 20), np.uint16)
+    expose(depths, np.full((20, 20), WALL_X), True, 1, 2, 0, depth, np.empty((20, 20, 3), np.uint8))
+    assert (depth > 0).all()
+
+
 def test_intrinsics_span_the_field_of_view() -> None:
     pinhole = Camera(width=640, height=480).intrinsics()
     half = math.radians(43.0)

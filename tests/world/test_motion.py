@@ -141,6 +141,23 @@ def test_sight_is_symmetric_and_agrees_with_sampled_points(seed: int, ends: tupl
         assert not sees
 
 
+def test_sight_along_a_corner_is_symmetric_to_the_last_bit() -> None:
+    random = np.random.default_rng(5)
+    for seed in range(60):
+        boxes = boxes_array(make_layout("random", seed))
+        for corner_x, corner_y in reference.corners(boxes[0]):
+            for x, y in random.uniform(0.0, SIZE, (20, 2)):
+                ends = (x, y, 2.0 * corner_x - x, 2.0 * corner_y - y)
+                assert line_of_sight(boxes, *ends) == line_of_sight(boxes, *ends[2:], *ends[:2])
+
+
+@pytest.mark.parametrize(("spare", "allowed"), [(1e-12, True), (1e-4, True), (-1e-6, False), (-5e-3, False)])
+def test_a_robot_stops_where_it_touches_the_other(spare: float, allowed: bool) -> None:
+    apart = 2 * arena.ROBOT_RADIUS + arena.STEP_LENGTH + spare
+    assert apply_primitive(NO_BOXES, SIZE, SIZE, 0.3, 0.6, 0, arena.FORWARD, 0.3 + apart, 0.6)[3] == allowed
+    assert apply_primitive(NO_BOXES, SIZE, SIZE, 0.3, 0.6, 18, arena.BACKWARD, 0.3 + apart, 0.6)[3] == allowed
+
+
 def test_cameras_look_over_low_boxes() -> None:
     box = np.array([[0.6, 0.6, 0.1, 0.1, 1.0, 0.0, 0.2]])
     assert not line_of_sight(box, 0.3, 0.6, 0.9, 0.6)
