@@ -39,7 +39,8 @@ def json_schema(kind: type[Message]) -> bytes:
     root = definitions.pop(document["$ref"].rsplit("/", 1)[1])
     if definitions:
         root["$defs"] = definitions
-    return json.dumps({"$schema": "https://json-schema.org/draft/2020-12/schema", **root}, ensure_ascii=False).encode()
+    document = {"$schema": "https://json-schema.org/draft/2020-12/schema", **root}
+    return json.dumps(document, ensure_ascii=False, separators=(",", ":")).encode()
 
 
 def message_types() -> dict[str, type[Message]]:

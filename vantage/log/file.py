@@ -95,10 +95,14 @@ class LogFile:
         if isinstance(self._map, mmap.mmap):
             self._map.close()
 
+    def _note(self, text: str) -> None:
+        if text not in self.breaks:
+            self.breaks.append(text)
+
     def _scan(self) -> None:
         view = self._map
         if view[:8] != MCAP0_MAGIC:
-            self.breaks.append("not an MCAP file" if self._size >= 8 else f"only {self._size} bytes")
+            self._note("not an MCAP file" if self._size >= 8 else f"only {self._size} bytes")
             return
         position, bare = 8, None
         while position + 9 <= self._size:
@@ -118,16 +122,14 @@ class LogFile:
                 try:
                     self._take(opcode, view, body, length)
                 except DAMAGE as error:
-                    self.breaks.append(f"damaged record at byte {position}: {error}")
+                    self._note(f"damaged record at byte {position}: {error}")
                 if opcode == Opcode.FOOTER:
                     self.finished = view[following : following + 8] == MCAP0_MAGIC
+                    if not self.finished:
+                        self._note("the last bytes are missing")
                     return
-                if opcode == Opcode.DATA_END:
-                    self.finished = True
-                    if view[-8:] == MCAP0_MAGIC:
-                        return
             position = following
-        self.breaks.append(f"breaks off at byte {position} of {self._size}")
+        self._note(f"breaks off at byte {position} of {self._size}")
 
     def _take(self, opcode: int, view: mmap.mmap | bytes, body: int, length: int) -> None:
         match opcode:
@@ -181,19 +183,20 @@ class LogFile:
         try:
             return self._parse(self.bytes_of(chunk))
         except DAMAGE as error:
-            self.breaks.append(f"damaged chunk at byte {chunk.offset}: {error}")
+            self._note(f"damaged chunk at byte {chunk.offset}: {error}")
             return []
 
     def messages(self, wanted: Callable[[Channel], bool]) -> Iterator[RawMessage]:
         """Yield the messages of the wanted channels in order of their log times; what is damaged is noted in `breaks`."""
+        self._learn_channels()
+        ids = {id for id, channel in self.channels.items() if wanted(channel)}
         waiting: list[RawMessage] = []
         for chunk in sorted(self.chunks, key=lambda chunk: chunk.start):
             held = chunk.channels
-            if held is not None and not any(wanted(self.channels[id]) if id in self.channels else True for id in held):
+            if held is not None and held.isdisjoint(ids):
                 continue
             found = self.messages_of(chunk)
-            ids = {id for id, channel in self.channels.items() if wanted(channel)}
-            if len(ids) < len(self.channels):
+            if held is None or not held <= ids:
                 found = [message for message in found if message[0] in ids]
             if waiting:
                 # Chunks come sorted by their first message, so nothing before this one's start is still to come.
@@ -206,6 +209,12 @@ class LogFile:
                 waiting = found
         waiting.sort(key=_log_time)
         yield from waiting
+
+    def _learn_channels(self) -> None:
+        """Other programs describe a channel within the chunk that first uses it, which a file cut short repeats nowhere."""
+        for chunk in self.chunks:
+            if chunk.channels is None or not chunk.channels <= self.channels.keys():
+                self.messages_of(chunk)
 
     def _parse(self, data: bytes) -> list[RawMessage]:
         found: list[RawMessage] = []

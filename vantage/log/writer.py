@@ -163,16 +163,13 @@ class LogWriter:
             publisher: who published it.
             well_formed: false for bytes that did not decode as the topic's type: they are kept on a channel without a schema.
         """
+        if self._splits and self._is_full(log_time):
+            self.split()
         if log_time <= self._last_time:
             log_time = self._last_time + 1
         self._last_time = log_time
         if self._part_start is None:
             self._part_start = log_time
-        elif self._splits and self._is_full(log_time):
-            self.split()
-            log_time = self._last_time = self._last_time + 1
-            if self._part_start is None:
-                self._part_start = log_time
         route = self._routes.get((key, publisher, well_formed))
         if route is None:
             route = self._add_route(key, publisher, well_formed)
