@@ -168,6 +168,15 @@ class Zenoh(Network):
         self.strangers.append(session)
         return session
 
+    def wait_for_names(self, stranger: zenoh.Session, names: set[str]) -> None:
+        """Wait until a bare session is connected to these participants, which announce themselves last."""
+        end = time.monotonic() + PATIENCE
+        found: set[str] = set()
+        while not names <= found:
+            assert time.monotonic() < end, f"only {found}"
+            replies = stranger.liveliness().get("vantage-alive/table/*", timeout=1.0)
+            found |= {str(reply.ok.key_expr).rpartition("/")[2] for reply in replies if reply.ok is not None}
+
     def close(self) -> None:
         super().close()
         for participant in self.participants:

@@ -9,6 +9,7 @@ import atexit
 import os
 import queue
 import time
+from collections import deque
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,8 @@ from zenoh.handlers import Callback
 
 from schemas import CALLS, TOPICS, Call, Message, Topic, encode
 from vantage.bus.interface import Bus, CannotOpen, Event, wrong_type
-from vantage.bus.zenoh_events import Asked, Item, LivelinessChange, Newest, Pending, Reader, Stranger, encoding_of, stamp
+from vantage.bus.zenoh_events import Asked, Item, LivelinessChange, Pending, encoding_of, pack
+from vantage.bus.zenoh_readers import Lossless, Newest, Reader, Strangers
 from vantage.bus.zenoh_session import open_session
 
 HEARTBEAT = 0.2
@@ -64,7 +66,8 @@ class ZenohBus(Bus):
         self._writers: dict[str, _Writer] = {}
         self._reading: set[str] = set()
         self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
-        self._encoded_name = name.encode()
+        self._origin = time.time_ns().to_bytes(8, "little") + name.encode()
+        self._ready: deque[Event] = deque()
         self._last_published = 0
         self._calls_made = 0
         self._requests_made = 0
@@ -82,8 +85,10 @@ class ZenohBus(Bus):
         writer = self._writers.get(key) or self._writer(key)
         if type(message) is not writer.kind:
             raise wrong_type(writer.topic, message)
-        writer.put(encode(message), attachment=stamp(writer.sequence, self._now(), self._encoded_name))
+        payload = encode(message)
+        sequence = writer.sequence
         writer.sequence += 1
+        writer.put(payload, attachment=pack(sequence, self._now(), self._origin))
 
     def _writer(self, key: str) -> _Writer:
         topic = self._topic_to_publish(key)
@@ -109,40 +114,29 @@ class ZenohBus(Bus):
                     self._reading.add(topic.key)
                     self._subscribe(session, topic, raw)
             if raw and "*" in expression:
-                strangers = Callback(Stranger(self.put, self.prefix, self._topics).arrived, indirect=False)
-                self._kept.append(session.declare_subscriber(self.prefix + expression, strangers))
+                self._kept += Strangers(self.put, self.prefix, expression, self._topics).declare(session)
 
     def _subscribe(self, session: zenoh.Session, topic: Topic, raw: bool) -> None:
-        reader = Newest(self.put, topic) if topic.delivery == "latest" and not raw else Reader(self.put, topic)
-        past = max(topic.cache, topic.history) if raw and topic.delivery == "lossless" else topic.history
-        if not past:
-            # Zenoh, asked for no history, would fetch everything at the first heartbeat: ask for one, and set it aside.
-            past, reader.since = 1, time.time_ns()
-        subscriber = ext.declare_advanced_subscriber(
-            session,
-            self.prefix + topic.key,
-            Callback(reader.arrived, indirect=False),
-            history=ext.HistoryConfig(detect_late_publishers=True, max_samples=past),
-            recovery=ext.RecoveryConfig(periodic_queries=None, heartbeat=True) if topic.delivery == "lossless" else None,
-        )
-        self._kept.append(subscriber)
+        reader: Reader
         if topic.delivery == "lossless":
-            self._kept.append(subscriber.sample_miss_listener(Callback(reader.missed, indirect=False)))
+            reader = Lossless(self.put, self.prefix, topic, max(topic.cache, topic.history) if raw else topic.history)
+        else:
+            reader = Reader(self.put, self.prefix, topic) if raw else Newest(self.put, self.prefix, topic)
+        self._kept += reader.declare(session)
 
     def receive(self, timeout: float) -> Event | None:
         self._opened()
         self._announce()
         end = time.monotonic() + timeout
-        while True:
+        while not self._ready:
             try:
                 item = self._inbox.get(timeout=max(0.0, end - time.monotonic())) if timeout > 0 else self._inbox.get_nowait()
             except queue.Empty:
                 return None
             if item is None:
                 return None
-            event = item.event()
-            if event is not None:
-                return event
+            item.handle(self._ready)
+        return self._ready.popleft()
 
     def call(self, key: str, request: Message, timeout: float) -> int:
         call = self._call_to_make(key, request)
@@ -154,10 +148,9 @@ class ZenohBus(Bus):
             consolidation=zenoh.ConsolidationMode.NONE,
             timeout=timeout,
             congestion_control=zenoh.CongestionControl.BLOCK,
-            express=True,
             payload=encode(request),
             encoding=encoding_of(call.request),
-            attachment=stamp(pending.token, self._now(), self._encoded_name),
+            attachment=pack(pending.token, self._now(), self._origin),
         )
         return pending.token
 
@@ -219,7 +212,6 @@ def _declare_publisher(session: zenoh.Session, prefix: str, topic: Topic) -> ext
         encoding=encoding_of(topic.type),
         # Never BLOCK: it waits for seconds and then closes the transport. What is dropped is fetched from the cache.
         congestion_control=zenoh.CongestionControl.DROP,
-        express=True,
         cache=ext.CacheConfig(kept) if kept else None,
         sample_miss_detection=ext.MissDetectionConfig(heartbeat=HEARTBEAT, sporadic_heartbeat=None) if lossless else None,
         publisher_detection=True,

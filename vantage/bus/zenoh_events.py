@@ -1,43 +1,63 @@
 """What Zenoh's threads put on a session's queue, and how the service's thread makes events of it.
 
-The methods named `arrived`, `missed`, `replied` and `finished` run on Zenoh's threads and do nothing but queue.
+The methods named `arrived`, `noticed`, `replied` and `finished` run on Zenoh's threads and do nothing but queue.
 """
 
 from __future__ import annotations
 
 import struct
-import threading
-import time
-from collections.abc import Callable, Mapping
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import zenoh
-from zenoh import ext
 
-from schemas import Call, Message, Topic
-from vantage.bus.interface import NAME_LIMIT, Alive, Event, Lost, Reply, Request, Sample
+from schemas import Call, Message
+from vantage.bus.interface import NAME_LIMIT, Alive, Event, Reply, Request
 
-QUEUE_LIMIT = 128 * 2**20
-"""Bytes of one topic that may wait unread in a session; what comes beyond is lost, and reported as such."""
-
-_STAMP = struct.Struct("<QQ")  # sequence, time of publishing; the publisher's name follows
+_NUMBERS = struct.Struct("<QQ")  # sequence, time of publishing; the origin follows
 _REFUSAL = zenoh.Encoding("text/plain").with_schema("vantage.Refusal")
 
 
-def stamp(sequence: int, published: int, name: bytes) -> bytes:
-    """Return what travels beside a message: number, time of publishing (ns), publisher."""
-    return _STAMP.pack(sequence, published) + name
+@dataclass(slots=True)
+class Stamp:
+    """What travels beside a message.
+
+    Attributes:
+        sequence: number of the message on its key, from 0 at each start of the publisher.
+        published: ns.
+        origin: start time (8 bytes) and name of the publisher: the same for all it publishes, another after a restart.
+    """
+
+    sequence: int
+    published: int
+    origin: bytes
+
+    @property
+    def publisher(self) -> str:
+        return self.origin[8:].decode()
+
+    @property
+    def started(self) -> int:
+        return int.from_bytes(self.origin[:8], "little")
 
 
-def unpack(attachment: zenoh.ZBytes | None) -> tuple[str, int, int]:
-    """Return publisher, sequence and time of publishing; of a stranger's message nobody, 0 and now."""
+def pack(sequence: int, published: int, origin: bytes) -> bytes:
+    """Return the attachment of a message."""
+    return _NUMBERS.pack(sequence, published) + origin
+
+
+def unpack(attachment: zenoh.ZBytes | None) -> Stamp | None:
+    """Return the stamp of a message; None when it is a stranger's."""
     data = attachment.to_bytes() if attachment is not None else b""
-    if _STAMP.size < len(data) <= _STAMP.size + NAME_LIMIT:
-        sequence, published = _STAMP.unpack_from(data)
-        name = data[_STAMP.size :]
-        if name.isascii() and sequence < 2**63 and published < 2**63:
-            return name.decode(), sequence, published
-    return "", 0, time.time_ns()
+    if not _NUMBERS.size + 8 < len(data) <= _NUMBERS.size + 8 + NAME_LIMIT:
+        return None
+    sequence, published = _NUMBERS.unpack_from(data)
+    origin = data[_NUMBERS.size :]
+    if sequence >= 2**63 or published >= 2**63 or not origin[8:].isascii():
+        return None
+    return Stamp(sequence, published, origin)
 
 
 def encoding_of(kind: type[Message]) -> zenoh.Encoding:
@@ -46,133 +66,12 @@ def encoding_of(kind: type[Message]) -> zenoh.Encoding:
 
 
 class Item(Protocol):
-    """What Zenoh's threads put on the queue: made into an event (or nothing) on the service's thread."""
+    """What Zenoh's threads put on the queue; `handle` appends the events that follow from it, on the service's thread."""
 
-    def event(self) -> Event | None: ...
+    def handle(self, ready: deque[Event]) -> None: ...
 
 
 Put = Callable[[Item | None], None]
-
-
-class Arrival:
-    __slots__ = ("reader", "sample")
-
-    def __init__(self, reader: Reader, sample: zenoh.Sample) -> None:
-        self.reader = reader
-        self.sample = sample
-
-    def event(self) -> Event | None:
-        sample = self.reader.read(self.sample)
-        return sample if sample.published >= self.reader.since else None
-
-
-class Reader:
-    """One subscription: all messages, in order, as far as the queue's limit allows."""
-
-    def __init__(self, put: Put, topic: Topic | None, prefix: str = "") -> None:
-        self.put = put
-        self.prefix = prefix
-        self.topic = topic
-        self.publisher = ""
-        self.since = 0
-        self._arrived = 0
-        self._read = 0
-        self._overflow: Overflow | None = None
-        self._overflow_lock = threading.Lock()
-
-    def arrived(self, sample: zenoh.Sample) -> None:
-        size = len(sample.payload)
-        if self._arrived - self._read + size > QUEUE_LIMIT:
-            self._overflown()
-            return
-        self._arrived += size
-        self.put(Arrival(self, sample))
-
-    def missed(self, miss: ext.Miss) -> None:
-        self.put(Missed(self, miss.nb))
-
-    def read(self, sample: zenoh.Sample) -> Sample:
-        payload = sample.payload.to_bytes()
-        self._read += len(payload)
-        return self.to_event(sample, payload)
-
-    def to_event(self, sample: zenoh.Sample, payload: bytes) -> Sample:
-        publisher, sequence, published = unpack(sample.attachment)
-        if publisher:
-            self.publisher = publisher
-        return Sample(self.key_of(sample), payload, publisher, sequence, published, self.topic.type if self.topic else None)
-
-    def key_of(self, sample: zenoh.Sample) -> str:
-        return self.topic.key if self.topic else str(sample.key_expr).removeprefix(self.prefix)
-
-    def lost(self, missed: int) -> Lost:
-        return Lost(self.topic.key if self.topic else self.prefix, self.publisher, missed)
-
-    def take_overflow(self) -> int:
-        with self._overflow_lock:
-            overflow, self._overflow = self._overflow, None
-            return overflow.missed if overflow else 0
-
-    def _overflown(self) -> None:
-        with self._overflow_lock:
-            if self._overflow is None:
-                self._overflow = Overflow(self)
-                self.put(self._overflow)
-            self._overflow.missed += 1
-
-
-class Missed:
-    __slots__ = ("missed", "reader")
-
-    def __init__(self, reader: Reader, missed: int) -> None:
-        self.reader = reader
-        self.missed = missed
-
-    def event(self) -> Event | None:
-        return self.reader.lost(self.missed)
-
-
-class Overflow(Missed):
-    """Stands on the queue where messages found no room, and counts them until it is read."""
-
-    def __init__(self, reader: Reader) -> None:
-        super().__init__(reader, 0)
-
-    def event(self) -> Event | None:
-        return self.reader.lost(self.reader.take_overflow())
-
-
-class Newest(Reader):
-    """A subscription that keeps the newest unread message only; it stands on the queue itself, once."""
-
-    def __init__(self, put: Put, topic: Topic) -> None:
-        super().__init__(put, topic)
-        self._unread: zenoh.Sample | None = None
-        self._lock = threading.Lock()
-
-    def arrived(self, sample: zenoh.Sample) -> None:
-        with self._lock:
-            fresh = self._unread is None
-            self._unread = sample
-        if fresh:
-            self.put(self)
-
-    def event(self) -> Event | None:
-        with self._lock:
-            sample, self._unread = self._unread, None
-        return self.to_event(sample, sample.payload.to_bytes()) if sample is not None else None
-
-
-class Stranger(Reader):
-    """The recorder's subscription to what no table declares."""
-
-    def __init__(self, put: Put, prefix: str, declared: Mapping[str, Topic]) -> None:
-        super().__init__(put, None, prefix)
-        self._declared = {prefix + key for key in declared}
-
-    def arrived(self, sample: zenoh.Sample) -> None:
-        if str(sample.key_expr) not in self._declared:
-            super().arrived(sample)
 
 
 class Asked:
@@ -185,8 +84,8 @@ class Asked:
         self.query = query
         self.next_token = next_token
 
-    def event(self) -> Event | None:
-        return ZenohRequest(self.call, self.query, self.next_token())
+    def handle(self, ready: deque[Event]) -> None:
+        ready.append(ZenohRequest(self.call, self.query, self.next_token()))
 
 
 class ZenohRequest(Request):
@@ -195,12 +94,13 @@ class ZenohRequest(Request):
     def __init__(self, call: Call, query: zenoh.Query, token: int) -> None:
         self._query = query
         payload = query.payload.to_bytes() if query.payload is not None else b""
-        super().__init__(call, payload, unpack(query.attachment)[0], token)
+        stamp = unpack(query.attachment)
+        super().__init__(call, payload, stamp.publisher if stamp else "", token)
 
     def _send(self, payload: bytes | None, error: str) -> None:
         try:
             if payload is not None:
-                self._query.reply(self._query.key_expr, payload, encoding=encoding_of(self.call.reply), express=True)
+                self._query.reply(self._query.key_expr, payload, encoding=encoding_of(self.call.reply))
             else:
                 self._query.reply_err(error.encode(), encoding=_REFUSAL)
             self._query.drop()
@@ -230,14 +130,14 @@ class Pending:
     def finished(self) -> None:
         self.put(self)
 
-    def event(self) -> Event | None:
-        return self.reply(None, f"no answer to `{self.call.key}`: {self.call.server} is not running, or died before it answered")
+    def handle(self, ready: deque[Event]) -> None:
+        self.end(ready, None, f"no answer to `{self.call.key}`: {self.call.server} is not running, or died before it answered")
 
-    def reply(self, payload: bytes | None, error: str) -> Reply | None:
-        if self.answered:
-            return None
-        self.answered = True
-        return Reply(self.token, self.call.key, payload, error, self.call.reply)
+    def end(self, ready: deque[Event], payload: bytes | None, error: str) -> None:
+        """End the call, unless it has ended: the first answer counts."""
+        if not self.answered:
+            self.answered = True
+            ready.append(Reply(self.token, self.call.key, payload, error, self.call.reply))
 
 
 class Replied:
@@ -247,14 +147,15 @@ class Replied:
         self.pending = pending
         self.reply = reply
 
-    def event(self) -> Event | None:
+    def handle(self, ready: deque[Event]) -> None:
         answer, error = self.reply.ok, self.reply.err
         if answer is not None:
-            return self.pending.reply(answer.payload.to_bytes(), "")
-        if error is not None and error.encoding == _REFUSAL:
-            return self.pending.reply(None, error.payload.to_bytes().decode(errors="replace"))
-        call = self.pending.call
-        return self.pending.reply(None, f"{call.server} did not answer `{call.key}` within {self.pending.timeout:g} s")
+            self.pending.end(ready, answer.payload.to_bytes(), "")
+        elif error is not None and error.encoding == _REFUSAL:
+            self.pending.end(ready, None, error.payload.to_bytes().decode(errors="replace"))
+        else:
+            call = self.pending.call
+            self.pending.end(ready, None, f"{call.server} did not answer `{call.key}` within {self.pending.timeout:g} s")
 
 
 class LivelinessChange:
@@ -263,6 +164,6 @@ class LivelinessChange:
     def __init__(self, sample: zenoh.Sample) -> None:
         self.sample = sample
 
-    def event(self) -> Event | None:
+    def handle(self, ready: deque[Event]) -> None:
         name = str(self.sample.key_expr).rpartition("/")[2]
-        return Alive(name, self.sample.kind == zenoh.SampleKind.PUT)
+        ready.append(Alive(name, self.sample.kind == zenoh.SampleKind.PUT))

@@ -60,6 +60,9 @@ def configuration(name: str, folder: Path) -> dict[str, object]:
                     "lease": round(1000 * LEASE),
                     "queue": {
                         "size": {"data": 16},
+                        # A batch goes as soon as the link is free: waiting for it to fill costs up to a millisecond, and
+                        # a batch for each message (express) fills the queue with 16 small ones.
+                        "batching": {"enabled": True, "time_limit": 0},
                         # Only calls block; no longer than it takes to find out that the peer is gone.
                         "congestion_control": {"block": {"wait_before_close": round(1e6 * LEASE)}},
                     },

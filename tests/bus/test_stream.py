@@ -1,0 +1,180 @@
+"""A lossless stream against a publisher and a network that lose, delay and forget in every way."""
+
+from __future__ import annotations
+
+from collections import deque
+
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from vantage.bus.stream import CATCH_UP, Missing, Stream
+
+
+class Publisher:
+    """Publishes 0, 1, 2, ... at times 0, 1, 2, ... and keeps the last `cache`."""
+
+    def __init__(self, cache: int) -> None:
+        self.count = 0
+        self.cache: deque[int] = deque(maxlen=cache)
+
+    def publish(self) -> int:
+        self.cache.append(self.count)
+        self.count += 1
+        return self.count - 1
+
+    def answers(self, question: str) -> list[int]:
+        name, _, value = question.partition("=")
+        if name == "_max":
+            return list(self.cache)[-int(value) :]
+        return [sequence for sequence in self.cache if sequence >= int(value.removesuffix(".."))]
+
+
+class Reader:
+    def __init__(self, stream: Stream[int], publisher: Publisher, started: int) -> None:
+        self.stream = stream
+        self.publisher = publisher
+        self.started = started
+        self.delivered: list[int] = []
+        self.missing = 0
+        self.position: int | None = None
+        self.asked: str | None = None
+
+    def take(self, items: list[int | Missing]) -> None:
+        for item in items:
+            if isinstance(item, Missing):
+                assert item.count > 0
+                self.missing += item.count
+                self.position = (self.position or 0) + item.count
+            else:
+                assert self.position in (None, item)
+                self.position = item + 1
+                self.delivered.append(item)
+
+    def ask(self) -> None:
+        question = self.stream.question()
+        if question is not None:
+            assert self.asked is None
+            self.asked = question
+
+    def answer(self, reaches: bool) -> None:
+        """The question reaches the publisher, or its time is over."""
+        if self.asked is None:
+            return
+        question, self.asked = self.asked, None
+        for sequence in self.publisher.answers(question) if reaches else []:
+            self.take(self.stream.answered(sequence, sequence, self.started, sequence))
+        self.take(self.stream.ended())
+        self.ask()
+
+    def hear(self, sequence: int) -> None:
+        self.take(self.stream.arrived(sequence, sequence, self.started, sequence))
+        self.ask()
+
+    def beat(self) -> None:
+        self.take(self.stream.announced(self.publisher.count - 1))
+        self.ask()
+
+    def settle(self) -> None:
+        for _ in range(3):
+            self.beat()
+            self.answer(True)
+            self.answer(True)
+
+
+steps = st.lists(st.sampled_from(["heard", "dropped", "beat", "answer", "unanswered", "left"]), max_size=200)
+
+
+@given(steps, st.integers(1, 40), st.integers(0, 30), st.integers(0, 5))
+@settings(max_examples=500)
+def test_everything_since_is_delivered_in_order_or_counted(events: list[str], cache: int, before: int, history: int) -> None:
+    publisher = Publisher(cache)
+    for _ in range(before):
+        publisher.publish()
+    reader = Reader(Stream(before, history, 1000), publisher, started=0)
+    for event in events:
+        if event == "heard":
+            reader.hear(publisher.publish())
+        elif event == "dropped":
+            publisher.publish()
+        elif event == "beat":
+            reader.beat()
+        elif event == "left":
+            reader.take(reader.stream.left())
+            reader.ask()
+        else:
+            reader.answer(event == "answer")
+    reader.settle()
+    assert reader.position in (None, publisher.count)
+    assert reader.position is not None or publisher.count == before
+    assert len([sequence for sequence in reader.delivered if sequence < before]) <= history
+    assert not reader.stream.held
+
+
+@given(steps, st.integers(0, 5))
+@settings(max_examples=300)
+def test_nothing_is_missing_while_the_cache_suffices(events: list[str], history: int) -> None:
+    publisher = Publisher(1000)
+    for _ in range(10):
+        publisher.publish()
+    reader = Reader(Stream(10, history, 1000), publisher, started=0)
+    for event in events:
+        if event == "heard":
+            reader.hear(publisher.publish())
+        elif event == "dropped":
+            publisher.publish()
+        elif event == "beat":
+            reader.beat()
+        else:
+            reader.answer(event == "answer")
+    reader.settle()
+    assert reader.missing == 0
+    assert reader.delivered == list(range(10 - history, publisher.count))
+
+
+def test_publisher_that_started_later_is_owed_from_its_first_message() -> None:
+    for cache, missing in ((1000, 0), (30, 71)):
+        publisher = Publisher(cache)
+        for _ in range(100):
+            publisher.publish()
+        reader = Reader(Stream(0, 1, 1000), publisher, started=0)
+        reader.hear(publisher.publish())
+        reader.answer(True)
+        assert reader.delivered == []
+        reader.answer(True)
+        assert reader.missing == missing
+        assert reader.delivered == list(range(missing, 101))
+
+
+def test_late_joiner_asks_for_no_more_than_it_needs() -> None:
+    publisher = Publisher(1000)
+    for _ in range(500):
+        publisher.publish()
+    reader = Reader(Stream(500, 1, 1000), publisher, started=0)
+    reader.hear(publisher.publish())
+    assert reader.asked == f"_max={CATCH_UP}"
+    reader.answer(True)
+    assert reader.delivered == [499, 500]
+    assert reader.asked is None
+
+
+def test_messages_wait_no_longer_than_the_limit_for_missing_ones() -> None:
+    stream: Stream[int] = Stream(0, 0, 5)
+    assert stream.arrived(0, 0, 0, 0) == [0]
+    assert stream.question() is None
+    for sequence in range(2, 7):
+        assert stream.arrived(sequence, sequence, 0, sequence) == []
+    assert stream.question() == "_sn=1.."
+    assert stream.arrived(7, 7, 0, 7) == [Missing(1), 2, 3, 4, 5, 6, 7]
+
+
+def test_publisher_that_died_ends_the_wait() -> None:
+    stream: Stream[int] = Stream(0, 0, 100)
+    stream.arrived(0, 0, 0, 0)
+    stream.arrived(3, 3, 0, 3)
+    stream.announced(5)
+    assert stream.question() == "_sn=1.."
+    assert stream.ended() == []
+    assert stream.question() is None
+    stream.left()
+    assert stream.question() == "_sn=1.."
+    assert stream.ended() == [Missing(2), 3, Missing(2)]

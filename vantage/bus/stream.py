@@ -1,0 +1,163 @@
+"""A lossless stream: the messages of one publisher on one key, put back in order and without gaps.
+
+The publisher keeps its last messages and answers questions for them. This is the reader's side, as a pure state machine: what
+arrives goes in, what is to be delivered comes out, and `question` says what to ask the publisher for. One mechanism serves the
+late joiner, what was published before the two had met, what the network dropped, and what a stopped reader did not take.
+
+Zenoh's own `AdvancedSubscriber` is not used: when it meets a publisher again after a lost connection it asks for its history
+first, and then reports everything between as missed instead of fetching it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+AnyItem = TypeVar("AnyItem")
+
+CATCH_UP = 16
+"""How many past messages a reader asks for when it meets a publisher, to find those published while the two were connecting."""
+
+
+@dataclass(frozen=True, slots=True)
+class Missing:
+    """So many messages can no longer be had."""
+
+    count: int
+
+
+class Stream(Generic[AnyItem]):
+    """The reader's side of one stream.
+
+    Args:
+        since: time at which the reader subscribed, ns; what was published before is history.
+        history: how many messages of history it wants.
+        limit: how many messages may wait for missing ones; beyond that the missing are given up.
+    """
+
+    def __init__(self, since: int, history: int, limit: int) -> None:
+        self.next: int | None = None  # sequence to deliver next; None until the reader has joined
+        self.held: dict[int, tuple[int, AnyItem]] = {}
+        self._since = since
+        self._history = history
+        self._limit = limit
+        self._last = -1  # highest sequence the publisher is known to have published
+        self._started_after = False
+        self._asking = False
+        self._worth_asking = False
+        self._lowest_answer: int | None = None
+        self._ask_all = False
+        self._kept_from = 0  # the publisher keeps nothing below
+        self._gone = False
+
+    def follows(self, sequence: int) -> bool:
+        """Return whether a message that arrived is the next and nothing is held up: deliver it. The short way of `arrived`."""
+        if sequence == self.next and not self.held:
+            self.next += 1
+            return True
+        return False
+
+    def arrived(self, sequence: int, published: int, started: int, item: AnyItem) -> list[AnyItem | Missing]:
+        """Take a message as it was published; `started` is when its publisher started. Returns what to deliver."""
+        self._worth_asking = True
+        self._started_after = started >= self._since
+        if self.next is None and sequence == 0:
+            self.next = 0
+        if self.next is not None and sequence < self.next:
+            return []
+        self.held[sequence] = (published, item)
+        if len(self.held) > self._limit:
+            return self._give_up()
+        return self._drain() if self.next is not None else []
+
+    def announced(self, last: int) -> list[AnyItem | Missing]:
+        """Take note of a publisher that is (again) there, or of the sequence of its last message (-1: unknown)."""
+        self._worth_asking = True
+        self._gone = False
+        self._last = max(self._last, last)
+        return []
+
+    def left(self) -> list[AnyItem | Missing]:
+        """Take note that the publisher is not to be seen any more."""
+        self._gone = True
+        self._worth_asking = True
+        return []
+
+    def question(self) -> str | None:
+        """Return what to ask the publisher's cache for now, as its parameters; None for nothing. `ended` must follow."""
+        if self._asking or not self._worth_asking:
+            return None
+        if self.next is not None and not self.held and self._last < self.next:
+            return None
+        self._asking, self._worth_asking, self._lowest_answer = True, False, None
+        if self.next is not None:
+            return f"_sn={self.next}.."
+        return "_sn=0.." if self._ask_all else f"_max={max(self._history, CATCH_UP)}"
+
+    def answered(self, sequence: int, published: int, started: int, item: AnyItem) -> list[AnyItem | Missing]:
+        """Take a message out of the publisher's cache. The cache answers in order, so the first shows what it still has."""
+        self._started_after = started >= self._since
+        if self._lowest_answer is None:
+            self._lowest_answer = sequence
+        if self.next is None:
+            self.held[sequence] = (published, item)
+            return []
+        if sequence >= self.next:
+            self.held[sequence] = (published, item)
+            self._kept_from = max(self._kept_from, self._lowest_answer)
+        return self._drain()
+
+    def ended(self) -> list[AnyItem | Missing]:
+        """Take note that no more answers come to the last question."""
+        self._asking = False
+        if self._lowest_answer is not None:
+            self._worth_asking = True
+        elif self._gone:
+            return self._give_up()
+        if self.next is not None:
+            return self._drain()
+        delivered = self._join(for_good=self._ask_all and self._lowest_answer is not None)
+        self._ask_all = bool(self.held) and self._lowest_answer is not None
+        return delivered
+
+    def _join(self, for_good: bool) -> list[AnyItem | Missing]:
+        """Start delivering, the wanted history and everything since, if it is sure (or for good) where that begins."""
+        if not self.held:
+            return []
+        history = sorted(sequence for sequence, (published, _) in self.held.items() if published < self._since)
+        if not (history or 0 in self.held or for_good):
+            return []
+        for sequence in history[: len(history) - self._history]:
+            del self.held[sequence]
+        self.next = min(self.held, default=history[-1] + 1 if history else 0)
+        unheard = [Missing(self.next)] if self._started_after and self.next else []
+        return [*unheard, *self._drain()]
+
+    def _drain(self) -> list[AnyItem | Missing]:
+        """Deliver what is next, over the gaps that nobody can fill."""
+        delivered: list[AnyItem | Missing] = []
+        assert self.next is not None
+        while self.held:
+            found = self.held.pop(self.next, None)
+            if found is not None:
+                delivered.append(found[1])
+                self.next += 1
+            elif self.next < self._kept_from:
+                resumed = min(min(self.held), self._kept_from)
+                delivered.append(Missing(resumed - self.next))
+                self.next = resumed
+            else:
+                break
+        return delivered
+
+    def _give_up(self) -> list[AnyItem | Missing]:
+        """Deliver all there is; what is not, is missing."""
+        delivered = self._join(for_good=True) if self.next is None else []
+        if self.next is None:
+            return delivered
+        self._kept_from = max((*self.held, self._last)) + 1
+        delivered += self._drain()
+        if self.next <= self._last:
+            delivered.append(Missing(self._last + 1 - self.next))
+            self.next = self._last + 1
+        return delivered

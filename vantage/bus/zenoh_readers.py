@@ -1,0 +1,269 @@
+"""Subscriptions over Zenoh: of a lossless topic, of a `latest` topic, and of what no table declares."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Mapping
+from typing import Any
+
+import zenoh
+from zenoh import ext
+from zenoh.handlers import Callback
+
+from schemas import Topic
+from vantage.bus.interface import Event, Lost, Sample
+from vantage.bus.stream import Missing, Stream
+from vantage.bus.zenoh_events import Put, Stamp, unpack
+
+QUEUE_LIMIT = 128 * 2**20
+"""Bytes of one topic that may wait unread in a session; what comes beyond is dropped, and a lossless topic fetches it later."""
+
+ANSWER_TIME = 2.0
+"""Seconds that a publisher's cache has to answer."""
+
+HELD_LIMIT = 1024
+"""Messages of a lossless topic that wait for missing ones (or as many as the topic's cache holds)."""
+
+
+class Reader:
+    """A subscription that passes on everything as it comes."""
+
+    def __init__(self, put: Put, prefix: str, topic: Topic | None) -> None:
+        self.put = put
+        self.prefix = prefix
+        self.topic = topic
+        self._arrived = 0
+        self._read = 0
+
+    def declare(self, session: zenoh.Session) -> list[Any]:
+        """Subscribe. Returns what must be kept for the subscription to last."""
+        assert self.topic is not None
+        history = ext.HistoryConfig(detect_late_publishers=True, max_samples=self.topic.history) if self.topic.history else None
+        key = self.prefix + self.topic.key
+        return [ext.declare_advanced_subscriber(session, key, Callback(self.arrived, indirect=False), history=history)]
+
+    def arrived(self, sample: zenoh.Sample) -> None:
+        size = len(sample.payload)
+        if self._arrived - self._read + size <= QUEUE_LIMIT:
+            self._arrived += size
+            self.put(Arrival(self, sample))
+
+    def read(self, sample: zenoh.Sample, ready: deque[Event]) -> None:
+        ready.append(self.event(sample, unpack(sample.attachment)))
+
+    def event(self, sample: zenoh.Sample, stamp: Stamp | None) -> Sample:
+        payload = sample.payload.to_bytes()
+        self._read += len(payload)
+        key = self.topic.key if self.topic else str(sample.key_expr).removeprefix(self.prefix)
+        kind = self.topic.type if self.topic else None
+        if stamp is None:
+            return Sample(key, payload, "", 0, time.time_ns(), kind)
+        return Sample(key, payload, stamp.publisher, stamp.sequence, stamp.published, kind)
+
+
+class Arrival:
+    __slots__ = ("reader", "sample")
+
+    def __init__(self, reader: Reader, sample: zenoh.Sample) -> None:
+        self.reader = reader
+        self.sample = sample
+
+    def handle(self, ready: deque[Event]) -> None:
+        self.reader.read(self.sample, ready)
+
+
+class Strangers(Reader):
+    """The recorder's subscription to what no table declares."""
+
+    def __init__(self, put: Put, prefix: str, expression: str, declared: Mapping[str, Topic]) -> None:
+        super().__init__(put, prefix, None)
+        self._expression = expression
+        self._declared = {prefix + key for key in declared}
+
+    def declare(self, session: zenoh.Session) -> list[Any]:
+        return [session.declare_subscriber(self.prefix + self._expression, Callback(self.arrived, indirect=False))]
+
+    def arrived(self, sample: zenoh.Sample) -> None:
+        if str(sample.key_expr) not in self._declared:
+            super().arrived(sample)
+
+
+class Newest(Reader):
+    """A subscription that keeps the newest unread message only; it stands on the queue itself, once."""
+
+    def __init__(self, put: Put, prefix: str, topic: Topic) -> None:
+        super().__init__(put, prefix, topic)
+        self._unread: zenoh.Sample | None = None
+        self._lock = threading.Lock()
+
+    def arrived(self, sample: zenoh.Sample) -> None:
+        with self._lock:
+            fresh = self._unread is None
+            self._unread = sample
+        if fresh:
+            self.put(self)
+
+    def handle(self, ready: deque[Event]) -> None:
+        with self._lock:
+            sample, self._unread = self._unread, None
+        if sample is not None:
+            self.read(sample, ready)
+
+
+class _Source:
+    """One publisher, from its start to its end, as a lossless subscription knows it."""
+
+    __slots__ = ("identity", "publisher", "stream")
+
+    def __init__(self, identity: str, stream: Stream[Sample]) -> None:
+        self.identity = identity  # zid/eid, as in the keys of its cache, its token and its heartbeat
+        self.publisher = ""
+        self.stream = stream
+
+
+class Lossless(Reader):
+    """A subscription that gets every message, in order, or says how many could not be had.
+
+    The publisher is a zenoh-ext AdvancedPublisher. Below `<key>/@adv/pub/<zid>/<eid>/` it has a liveliness token, a heartbeat
+    with its last sequence number, and a cache that answers `_max=<count>` and `_sn=<first>..`.
+    """
+
+    def __init__(self, put: Put, prefix: str, topic: Topic, history: int) -> None:
+        super().__init__(put, prefix, topic)
+        self._key = prefix + topic.key
+        self._topic = topic
+        self._history = history
+        self._since = time.time_ns()
+        self._by_identity: dict[str, _Source] = {}
+        self._by_origin: dict[bytes, _Source] = {}
+        self._session: zenoh.Session | None = None
+
+    def declare(self, session: zenoh.Session) -> list[Any]:
+        self._session = session
+        about = f"{self._key}/@adv/pub/**"
+        return [
+            session.declare_subscriber(self._key, Callback(self.arrived, indirect=False)),
+            session.declare_subscriber(about, Callback(self.heard, indirect=False)),
+            session.liveliness().declare_subscriber(about, Callback(self.noticed, indirect=False), history=True),
+        ]
+
+    def heard(self, heartbeat: zenoh.Sample) -> None:
+        self.put(_Heartbeat(self, heartbeat))
+
+    def noticed(self, token: zenoh.Sample) -> None:
+        self.put(_Token(self, token))
+
+    def read(self, sample: zenoh.Sample, ready: deque[Event]) -> None:
+        stamp = unpack(sample.attachment)
+        event = self.event(sample, stamp)
+        source = (self._by_origin.get(stamp.origin) or self._meet(stamp, sample.source_info)) if stamp else None
+        if source is None or stamp is None or source.stream.follows(stamp.sequence):
+            ready.append(event)
+        else:
+            self.deliver(source, source.stream.arrived(stamp.sequence, stamp.published, stamp.started, event), ready)
+
+    def _meet(self, stamp: Stamp, info: zenoh.SourceInfo | None) -> _Source | None:
+        if info is None:
+            return None
+        source = self.source(f"{info.source_id.zid}/{info.source_id.eid}")
+        source.publisher = stamp.publisher
+        self._by_origin[stamp.origin] = source
+        return source
+
+    def source(self, identity: str) -> _Source:
+        """Return what is known of a publisher, from now on at the latest."""
+        source = self._by_identity.get(identity)
+        if source is None:
+            stream: Stream[Sample] = Stream(self._since, self._history, max(HELD_LIMIT, self._topic.cache))
+            source = self._by_identity[identity] = _Source(identity, stream)
+        return source
+
+    def deliver(self, source: _Source, items: list[Sample | Missing], ready: deque[Event]) -> None:
+        """Make events of what a stream delivers, then ask what it wants to know."""
+        for item in items:
+            ready.append(Lost(self._topic.key, source.publisher, item.count) if isinstance(item, Missing) else item)
+        question = source.stream.question()
+        if question is not None and self._session is not None:
+            asked = _Question(self, source)
+            self._session.get(
+                f"{self._key}/@adv/pub/{source.identity}/**?{question}",
+                Callback(asked.replied, asked.finished, indirect=False),
+                consolidation=zenoh.ConsolidationMode.NONE,
+                accept_replies=zenoh.ReplyKeyExpr.ANY,
+                # The answers are sent as the question is.
+                congestion_control=zenoh.CongestionControl.BLOCK,
+                timeout=ANSWER_TIME,
+            )
+
+
+def _identity(key: zenoh.KeyExpr) -> str:
+    """Return the publisher's zid/eid, from the key of its token or heartbeat; empty when the key has none."""
+    chunks = str(key).partition("/@adv/pub/")[2].split("/")
+    return "/".join(chunks[:2]) if len(chunks) >= 2 and chunks[1].isdecimal() else ""
+
+
+class _Heartbeat:
+    __slots__ = ("reader", "sample")
+
+    def __init__(self, reader: Lossless, sample: zenoh.Sample) -> None:
+        self.reader = reader
+        self.sample = sample
+
+    def handle(self, ready: deque[Event]) -> None:
+        identity, payload = _identity(self.sample.key_expr), self.sample.payload.to_bytes()
+        if identity and len(payload) == 4:
+            source = self.reader.source(identity)
+            self.reader.deliver(source, source.stream.announced(int.from_bytes(payload, "little")), ready)
+
+
+class _Token:
+    __slots__ = ("reader", "sample")
+
+    def __init__(self, reader: Lossless, sample: zenoh.Sample) -> None:
+        self.reader = reader
+        self.sample = sample
+
+    def handle(self, ready: deque[Event]) -> None:
+        identity = _identity(self.sample.key_expr)
+        if identity:
+            source = self.reader.source(identity)
+            there = self.sample.kind == zenoh.SampleKind.PUT
+            self.reader.deliver(source, source.stream.announced(-1) if there else source.stream.left(), ready)
+
+
+class _Question:
+    """A question to a publisher's cache; on the queue, it is the news that all answers are there."""
+
+    __slots__ = ("reader", "source")
+
+    def __init__(self, reader: Lossless, source: _Source) -> None:
+        self.reader = reader
+        self.source = source
+
+    def replied(self, reply: zenoh.Reply) -> None:
+        self.reader.put(_Answer(self, reply))
+
+    def finished(self) -> None:
+        self.reader.put(self)
+
+    def handle(self, ready: deque[Event]) -> None:
+        self.reader.deliver(self.source, self.source.stream.ended(), ready)
+
+
+class _Answer:
+    __slots__ = ("question", "reply")
+
+    def __init__(self, question: _Question, reply: zenoh.Reply) -> None:
+        self.question = question
+        self.reply = reply
+
+    def handle(self, ready: deque[Event]) -> None:
+        sample, reader, source = self.reply.ok, self.question.reader, self.question.source
+        stamp = unpack(sample.attachment) if sample is not None else None
+        if sample is None or stamp is None:
+            return
+        source.publisher = stamp.publisher
+        event = reader.event(sample, stamp)
+        reader.deliver(source, source.stream.answered(stamp.sequence, stamp.published, stamp.started, event), ready)
