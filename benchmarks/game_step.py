@@ -7,7 +7,6 @@ part of the time. `python benchmarks/game_step.py --help` shows the settings.
 
 from __future__ import annotations
 
-import statistics
 import time
 from dataclasses import dataclass
 
@@ -19,10 +18,11 @@ import tyro
 from vantage.compiled import kernel
 from vantage.perception.state_image import look
 from vantage.world.arena import ARENA_SIZE, BACKWARD, CATCH_DISTANCE, FORWARD, HIDER, LEFT, RIGHT, SEEKER
-from vantage.world.camera import Camera, cast_row, directions
+from vantage.world.camera import Camera, directions
 from vantage.world.game import step_game
 from vantage.world.layout import draw_boxes
 from vantage.world.noise import uniform
+from vantage.world.rays import cast_row
 from vantage.world.start import try_start
 
 Floats = npt.NDArray[np.float64]
@@ -163,27 +163,27 @@ def six_boxes() -> Floats:
     return np.array(rows)
 
 
-def compiled_rate(settings: Settings, images: bool, boxes: Floats) -> list[float]:
-    """Steps a second of each repetition, wall clock."""
+def compiled_rates(settings: Settings, images: bool, boxes: Floats) -> tuple[Floats, Floats]:
+    """Steps a second of each repetition: by the wall clock, and by the CPU time the process was given."""
     camera = Camera()
     pinhole = camera.intrinsics()
     pictures = np.zeros((2, 128, 128), np.uint8)
     lens = (*directions(camera), pinhole.fx, pinhole.fy, pinhole.cx, pinhole.cy, camera.mount_height, pictures)
     play(100, settings.seed, images, boxes, *lens)
-    rates = []
+    elapsed = np.empty((2, settings.repetitions))
     for repetition in range(settings.repetitions):
-        begin = time.perf_counter()
+        wall, processor = time.perf_counter(), time.process_time()
         play(settings.steps, settings.seed + repetition, images, boxes, *lens)
-        rates.append(settings.steps / (time.perf_counter() - begin))
-    return rates
+        elapsed[:, repetition] = time.perf_counter() - wall, time.process_time() - processor
+    return settings.steps / elapsed[0], settings.steps / elapsed[1]
 
 
-def plain_rate(settings: Settings) -> float:
-    """Steps a second of the plain implementation, on the same games."""
+def plain_rates(settings: Settings) -> tuple[float, float]:
+    """Steps a second of the plain implementation, on the same games: by the wall clock, and by CPU time."""
     random = np.random.default_rng(settings.seed)
     boxes, poses = np.empty((3, 7)), np.empty((2, 3))
     moved, primitives = np.ones(2, np.bool_), np.empty(2, np.int64)
-    begin = time.perf_counter()
+    wall, processor = time.perf_counter(), time.process_time()
     caught, games = True, 0
     for step in range(settings.plain_steps):
         if caught or step % GAME_STEPS == 0:
@@ -193,7 +193,7 @@ def plain_rate(settings: Settings) -> float:
         after, _, caught = plain_game.step(boxes, poses, primitives, random)
         moved = (after != poses).any(axis=1)
         poses = after
-    return settings.plain_steps / (time.perf_counter() - begin)
+    return settings.plain_steps / (time.perf_counter() - wall), settings.plain_steps / (time.process_time() - processor)
 
 
 def greatest_difference(settings: Settings) -> float:
@@ -225,22 +225,28 @@ def greatest_difference(settings: Settings) -> float:
     return worst
 
 
+def line(name: str, wall: Floats, processor: Floats) -> None:
+    """Print one measurement."""
+    print(f"  {name:<32}{np.median(wall):>9,.0f}{wall.min():>9,.0f}{wall.max():>9,.0f}{np.median(processor):>11,.0f}")
+
+
 def main(settings: Settings) -> None:
     """Measure and print."""
-    whole = compiled_rate(settings, images=True, boxes=np.empty((3, 7)))
-    bare = compiled_rate(settings, images=False, boxes=np.empty((3, 7)))
-    six = compiled_rate(settings, images=False, boxes=six_boxes())
-    plain = plain_rate(settings)
-    middle = statistics.median(whole)
+    whole = compiled_rates(settings, images=True, boxes=np.empty((3, 7)))
+    bare = compiled_rates(settings, images=False, boxes=np.empty((3, 7)))
+    six = compiled_rates(settings, images=False, boxes=six_boxes())
+    plain_wall, plain_processor = plain_rates(settings)
     print(f"whole game steps a second, one core, {settings.repetitions} x {settings.steps:,} steps")
-    print(f"  compiled, both state images   {middle:>10,.0f}   (best {max(whole):,.0f}, worst {min(whole):,.0f})")
-    print(f"  compiled, scans only          {statistics.median(bare):>10,.0f}")
-    print(f"  compiled, scans, six boxes    {statistics.median(six):>10,.0f}   (the peers' scene)")
-    print(f"  plain numpy, both images      {plain:>10,.0f}   (compiled is {middle / plain:,.0f} times as fast)")
-    print(f"  depth of the two implementations differs by {greatest_difference(settings):.1e} m at most")
-    print("peers, measured beforehand, six boxes, without state images (the factor is our rate in that scene over theirs):")
+    print(f"  {'':<32}{'median':>9}{'worst':>9}{'best':>9}{'by CPU time':>14}")
+    line("compiled, both state images", *whole)
+    line("compiled, scans only", *bare)
+    line("compiled, scans only, six boxes", *six)
+    line("plain numpy, both state images", np.array([plain_wall]), np.array([plain_processor]))
+    print(f"compiled is {np.median(whole[1]) / plain_processor:,.0f} times as fast as plain numpy, by CPU time")
+    print(f"the depth of the two implementations differs by {greatest_difference(settings):.1e} m at most")
+    print("peers, measured beforehand: six boxes, no state images (factor: our six boxes over theirs, wall clock)")
     for name, rate in PEERS:
-        print(f"  {name:<46}{rate:>8,}   ({statistics.median(six) / rate:.1f})")
+        print(f"  {name:<46}{rate:>8,}   ({np.median(six[0]) / rate:.1f})")
 
 
 if __name__ == "__main__":

@@ -15,21 +15,17 @@ from vantage.perception.palette import BOUNDARY, FREE, INVISIBLE, OTHER, OWN, PI
 from vantage.perception.scan import COLOR_DISTANCE
 from vantage.world import arena
 from vantage.world.camera import (
-    BOX_X,
-    BOX_Y,
     COLOR_SIGMA,
     DEPTH_SIGMA_AT_ZERO,
     DEPTH_SIGMA_PER_SQUARE_METRE,
     EDGE_DROP_OUT,
     EDGE_JUMP,
-    ROBOT_HIDER,
     SURFACE_COLORS,
-    WALL_X,
-    WALL_Y,
     Camera,
     directions,
 )
 from vantage.world.motion import heading_radians
+from vantage.world.rays import BOX_X, BOX_Y, ROBOT_HIDER, WALL_X, WALL_Y
 
 Floats = npt.NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from tests.perception.scenes import MEDIUM, NARROW, WIDE, Scene, random_scene, visible_share
 from vantage.perception.scan import find_other, is_robot_color, scan_columns
 from vantage.world.arena import HIDER_COLOR, SEEKER_COLOR
-from vantage.world.camera import ROBOT_HIDER, SURFACE_COLORS, Camera, cast_row, directions, render
+from vantage.world.camera import SURFACE_COLORS, Camera, directions, render
+from vantage.world.rays import ROBOT_HIDER, cast_row
 
 NO_BOXES = np.zeros((0, 7))
 

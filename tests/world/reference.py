@@ -8,8 +8,9 @@ import numpy as np
 import numpy.typing as npt
 
 from vantage.world import arena
-from vantage.world.camera import BOX_TOP, BOX_X, FLOOR, NOTHING, ROBOT_HIDER, WALL_X, Camera, directions
+from vantage.world.camera import Camera, directions
 from vantage.world.layout import boxes_array, make_layout
+from vantage.world.rays import BOX_TOP, BOX_X, FLOOR, NOTHING, ROBOT_HIDER, WALL_X
 from vantage.world.start import Placed, draw_start
 
 Floats = npt.NDArray[np.float64]

@@ -14,28 +14,20 @@ from hypothesis import strategies as st
 from tests.world import reference
 from vantage.world import arena
 from vantage.world.camera import (
-    BOX_TOP,
-    BOX_X,
     COLOR_SIGMA,
     DEPTH_SIGMA_AT_ZERO,
     DEPTH_SIGMA_PER_SQUARE_METRE,
     EDGE_DROP_OUT,
     EDGE_JUMP,
-    FLOOR,
-    NOTHING,
-    ROBOT_HIDER,
-    ROBOT_SEEKER,
     SURFACE_COLORS,
-    WALL_X,
     Camera,
-    cast_picture,
-    cast_row,
     directions,
     expose,
     render,
 )
 from vantage.world.layout import boxes_array, make_layout
 from vantage.world.motion import box_distance, heading_radians
+from vantage.world.rays import BOX_TOP, BOX_X, FLOOR, NOTHING, ROBOT_HIDER, ROBOT_SEEKER, WALL_X, cast_picture, cast_row
 
 SIZE = arena.ARENA_SIZE
 ROW = Camera()
