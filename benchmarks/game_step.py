@@ -243,7 +243,7 @@ def main(settings: Settings) -> None:
     line("compiled, scans only, six boxes", *six)
     line("plain numpy, both state images", np.array([plain_wall]), np.array([plain_processor]))
     print(f"compiled is {np.median(whole[1]) / plain_processor:,.0f} times as fast as plain numpy, by CPU time")
-    print(f"the depth of the two implementations differs by {greatest_difference(settings):.1e} m at most")
+    print(f"depth of the two implementations differs by {greatest_difference(settings):.1e} m at most")
     print("peers, measured beforehand: six boxes, no state images (factor: our six boxes over theirs, wall clock)")
     for name, rate in PEERS:
         print(f"  {name:<46}{rate:>8,}   ({np.median(six[0]) / rate:.1f})")
