@@ -56,7 +56,7 @@ define install
 	@pip() { .venv/bin/python -m pip --disable-pip-version-check --no-input install --constraint constraints.txt "$$@"; }
 	narrate() {
 		awk '{ print >> ".venv/install.log"; fflush() }
-			/^ *Downloading .*\([0-9.]+ [MG]B\)/ { name = $$2; sub(/.*\//, "", name); sub(/-[0-9].*/, "", name)
+			/^ *(Downloading|Using cached) .*\([0-9.]+ [MG]B\)/ { name = $$(NF - 2); sub(/.*\//, "", name); sub(/-[0-9].*/, "", name)
 				size = $$0; sub(/.*\(/, "(", size); print "   " name " " size; fflush() }
 			/^Installing collected/ { print "   unpacking"; fflush() }
 			/^ERROR/ { print; fflush() }'
