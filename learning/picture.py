@@ -123,9 +123,13 @@ def _draw_arena(axes: Axes, log: EpisodeLog) -> None:
         for step in range(0, len(track), VIEW_INTERVAL):
             axes.plot(*track[step, :2], "o", color=color, markeredgecolor="black", markersize=5, zorder=5)
         axes.add_patch(
-            Circle(track[0, :2], ROBOT_RADIUS, facecolor="none", edgecolor=color, linewidth=2, linestyle=":", zorder=5)
+            Circle(
+                (track[0, 0], track[0, 1]), ROBOT_RADIUS, facecolor="none", edgecolor=color, linewidth=2, linestyle=":", zorder=5
+            )
         )
-        axes.add_patch(Circle(track[-1, :2], ROBOT_RADIUS, facecolor=color, edgecolor="black", alpha=0.85, zorder=6))
+        axes.add_patch(
+            Circle((track[-1, 0], track[-1, 1]), ROBOT_RADIUS, facecolor=color, edgecolor="black", alpha=0.85, zorder=6)
+        )
         x, y, heading = track[-1]
         tip = (x + ROBOT_RADIUS * math.cos(heading), y + ROBOT_RADIUS * math.sin(heading))
         axes.plot([x, tip[0]], [y, tip[1]], color="black", linewidth=2, zorder=7)
