@@ -106,9 +106,8 @@ class Dataset:
                 f"{folder} holds no training set: make one with `vantage convert logs/ --to {folder}`"
             ) from None
         if self.manifest.get("schema_version") != SCHEMA_VERSION:
-            raise UnusableDataset(
-                f"{folder} is a training set of version {self.manifest.get('schema_version')}, wanted is {SCHEMA_VERSION}: convert the logs again"
-            )
+            version = self.manifest.get("schema_version")
+            raise UnusableDataset(f"{folder} is of version {version}, wanted is {SCHEMA_VERSION}: convert the logs again")
         self.folder = folder
         try:
             self.episodes = np.load(folder / "episodes.npy")

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 
 def area_under_roc(scores: NDArray[np.floating], truth: NDArray[np.bool_]) -> float:
-    """Return the chance that a true case scores higher than a false one, ties counted half (Mann-Whitney U); NaN for one class."""
+    """Return the chance that a true case scores higher than a false one, ties counted half; NaN for one class."""
     positives = int(truth.sum())
     negatives = len(truth) - positives
     if not positives or not negatives:

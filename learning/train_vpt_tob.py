@@ -6,22 +6,23 @@ import math
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torch.nn import functional
 
-from learning.dataset import Batch, Dataset, Samples, prefetch
+from learning.dataset import Batch, Dataset, prefetch
+from learning.group import Group, join_group
 from learning.measures import area_under_roc
 from learning.panel import draw_panel
 from vantage.log import source_commit
-from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
-from vantage.networks.weights import card_of, fast_device, fast_precision, save
+from vantage.networks.weights import ModelCard, card_of, fast_precision, save
 
 Schedule = Literal["steps", "cosine"]
 
@@ -42,7 +43,7 @@ class Recipe:
         symmetries: of the square, by which samples are turned and flipped: 8, 4 or 1.
     """
 
-    network: VptTobSettings = VptTobSettings()
+    network: VptTobSettings = field(default_factory=VptTobSettings)
     samples: int = 5_000_000
     batch: int = 256
     rate: float = 1e-3
@@ -95,10 +96,10 @@ class TrainVptTobSettings:
     """Weight of the judge's loss, instead of the preset's."""
     head_weight: float | None = None
     """Weight of the caught head's loss, instead of the preset's."""
-    run: Path = Path("runs/vpt-tob")
+    workspace: Path = Path("runs/vpt-tob")
     """Folder of the checkpoint and of the pictures of predictions."""
     resume: bool = True
-    """Go on from the checkpoint, if the run's folder holds one."""
+    """Go on from the checkpoint, if the workspace holds one."""
     report_every: int = 16_384
     """Samples between validations."""
     checkpoint_minutes: float = 3.0
@@ -125,50 +126,67 @@ def rate_factor(recipe: Recipe, progress: float) -> float:
     return recipe.drop ** sum(progress >= moment for moment in (0.25, 0.65))
 
 
-def to_tensor(pixels: np.ndarray, device: torch.device) -> Tensor:
-    """uint8 [B, 128, 128, C] -> float32 [B, C, 128, 128] in 0 .. 1, channels last in memory."""
-    return torch.from_numpy(pixels).to(device, non_blocking=True).permute(0, 3, 1, 2).float().mul_(1 / 255)
+class Judge(nn.Module):
+    """Reads a predicted view while it is being learnt: is the hider caught in it? A small VPN at half resolution."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.layers = nn.Sequential(
+            *(nn.Conv2d(3, 16, 3, 2, 1), nn.ReLU(), nn.Conv2d(16, 32, 3, 2, 1), nn.ReLU()),
+            *(nn.Conv2d(32, 32, 3, 2, 1), nn.ReLU(), nn.Flatten(), nn.Linear(32 * 8 * 8, 64), nn.ReLU(), nn.Linear(64, 1)),
+        )
+
+    def forward(self, views: Tensor) -> Tensor:  # [B, 3, 128, 128] -> [B]
+        return self.layers(functional.avg_pool2d(views, 2)).squeeze(1)
 
 
 class Trainer:
     """Networks, optimiser and losses: all that a checkpoint holds."""
 
-    def __init__(self, recipe: Recipe, device: torch.device, compiled: bool, seed: int) -> None:
+    def __init__(self, recipe: Recipe, group: Group, compiled: bool, seed: int) -> None:
         torch.manual_seed(seed)
-        self.recipe, self.device = recipe, device
-        self.precision = fast_precision(device)
+        self.recipe, self.group, self.device = recipe, group, group.device
+        device, self.precision = group.device, fast_precision(group.device)
         self.network = VptTob(recipe.network).to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.judge = Vpn(VpnSettings(width=8, dropout=0.0)).to(device) if recipe.judge_weight else None
+        self.judge = Judge().to(device, memory_format=torch.channels_last) if recipe.judge_weight else None  # type: ignore[call-overload]
         self.parameters = [*self.network.parameters(), *(self.judge.parameters() if self.judge else ())]
         self.optimizer = torch.optim.Adam(self.parameters, recipe.rate, fused=True)
-        self.predict = torch.compile(self.network.forward_with_head) if compiled else self.network.forward_with_head
+        self.forward_in_training = torch.compile(self.forward) if compiled else self.forward
 
-    def losses(self, batch: Batch) -> tuple[Tensor, Tensor, dict[str, Tensor]]:
-        """Return the whole loss, the predicted views [B, 3, 128, 128], and parts of the loss and logits by name."""
-        inputs, targets = to_tensor(batch.inputs, self.device), to_tensor(batch.targets, self.device)
-        caught = torch.from_numpy(batch.caught).to(self.device).float()
-        parts: dict[str, Tensor] = {}
+    def forward(self, inputs: Tensor, targets: Tensor, discs: Tensor, caught: Tensor) -> tuple[Tensor, dict[str, Tensor]]:
+        """Return the loss, and by name: the predicted views [B, 3, 128, 128], their mse, the logits of head and judge [B].
+
+        Args:
+            inputs: uint8 [B, 128, 128, 7]; targets: uint8 [B, 128, 128, 3]; discs: bool [B, 128, 128]; caught: float [B].
+        """
+        pixels = inputs.permute(0, 3, 1, 2).to(self.precision) * (1 / 255)
         with torch.autocast(self.device.type, self.precision, enabled=self.precision != torch.float32):
-            views, head = self.predict(inputs)
+            views, head = self.network.forward_with_head(pixels)
             verdict = self.judge(views) if self.judge else None
-        error = (views.float() - targets).square().mean(dim=1)  # [B, 128, 128]
-        parts["mse"] = error.mean()
-        loss = parts["mse"]
-        if self.recipe.disc_weight != 1.0:
-            discs = torch.from_numpy(batch.discs).to(self.device)
-            loss = (error * (1.0 + (self.recipe.disc_weight - 1.0) * discs)).mean()
+        error = (views.float() - targets.permute(0, 3, 1, 2).float() * (1 / 255)).square().mean(dim=1)  # [B, 128, 128]
+        found = {"views": views, "mse": error.mean()}
+        loss = (
+            (error * (1.0 + (self.recipe.disc_weight - 1.0) * discs)).mean() if self.recipe.disc_weight != 1.0 else error.mean()
+        )
         for name, logit, weight in (("head", head, self.recipe.head_weight), ("judge", verdict, self.recipe.judge_weight)):
             if logit is not None:
-                parts[name] = logit.detach().float()
+                found[name] = logit.float()
                 loss = loss + weight * functional.binary_cross_entropy_with_logits(logit.float(), caught)
-        return loss, views, parts
+        return loss, found
+
+    def tensors(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+        """Return what `forward` takes."""
+        arrays = (batch.inputs, batch.targets, batch.discs, batch.caught.astype(np.float32))
+        inputs, targets, discs, caught = (torch.from_numpy(array).to(self.device, non_blocking=True) for array in arrays)
+        return inputs, targets, discs, caught
 
     def learn(self, batch: Batch, factor: float) -> Tensor:
         """One step of the optimiser; returns the loss."""
         for group in self.optimizer.param_groups:
             group["lr"] = self.recipe.rate * factor
-        loss, _, _ = self.losses(batch)
+        loss, _ = self.forward_in_training(*self.tensors(batch))
         loss.backward()
+        self.group.average(self.parameters)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
         return loss.detach()
@@ -181,20 +199,18 @@ class Trainer:
         total, count, first = {"loss": 0.0, "mse": 0.0}, 0, None
         logits: dict[str, list[Tensor]] = {"head": [], "judge": []}
         caught = []
-        predict, self.predict = self.predict, self.network.forward_with_head  # compiled anew for this mode it would not pay
         with torch.inference_mode():
             for batch in batches:
-                loss, views, parts = self.losses(batch)
+                loss, found = self.forward(*self.tensors(batch))
                 total["loss"] += loss.item() * len(batch.caught)
-                total["mse"] += parts["mse"].item() * len(batch.caught)
+                total["mse"] += found["mse"].item() * len(batch.caught)
                 count += len(batch.caught)
                 caught.append(batch.caught)
                 for name, values in logits.items():
-                    if name in parts:
-                        values.append(parts[name].cpu())
+                    if name in found:
+                        values.append(found[name].cpu())
                 if first is None:
-                    first = batch, views.float().mul(255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
-        self.predict = predict
+                    first = batch, found["views"].float().mul(255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
         for module in modules:
             module.train()
         measures = {name: value / count for name, value in total.items()}
@@ -220,95 +236,91 @@ class Trainer:
 
 def main(settings: TrainVptTobSettings) -> int:
     """Train; returns the exit code."""
-    torch.set_num_threads(settings.threads or os.cpu_count() or 1)
-    recipe, device, data = resolve(settings), fast_device(), Dataset(settings.data)
-    trainer = Trainer(recipe, device, settings.compile, settings.seed)
+    group = join_group()
+    torch.set_num_threads(settings.threads or max(1, (os.cpu_count() or 1) // group.size))
+    recipe, data = resolve(settings), Dataset(settings.data)
+    trainer = Trainer(recipe, group, settings.compile, settings.seed)
     size = sum(parameter.numel() for parameter in trainer.network.parameters())
-    print(
-        f"VPT-TOB `{settings.preset}`, {size:,} parameters, {device}, {trainer.precision}; {data.manifest['episodes']}",
-        flush=True,
-    )
+    say = partial(print, flush=True) if group.rank == 0 else lambda *_: None
+    say(f"VPT-TOB `{settings.preset}`, {size:,} parameters, {group.size} x {group.device}, {trainer.precision}")
+    say(f"{settings.data}: episodes {data.manifest['episodes']}, by hider {data.manifest['hiders']}")
 
-    checkpoint = settings.run / "checkpoint.pt"
+    checkpoint = settings.workspace / "checkpoint.pt"
     identity = {"recipe": asdict(replace(recipe, samples=0)), "data": data.hash}
-    seen, trained, best, best_measures = 0, 0.0, math.inf, {}  # samples, seconds
+    seen, trained, best, best_measures = 0, 0.0, math.inf, dict[str, float]()  # samples, seconds
     if settings.resume and checkpoint.exists():
-        saved = torch.load(checkpoint, map_location=device, weights_only=True)
+        saved = torch.load(checkpoint, map_location=group.device, weights_only=True)
         if saved["identity"] != identity:
-            print(f"{checkpoint} is of another recipe or training set: choose another --run, or --no-resume")
+            say(f"{checkpoint} is of another recipe or training set: choose another --workspace, or --no-resume")
             return 1
         trainer.restore(saved["trainer"])
         seen, trained, best, best_measures = saved["seen"], saved["trained"], saved["best"], saved["best_measures"]
-        print(f"going on after {seen:,} samples, {trained / 60:.1f} minutes")
+        say(f"going on after {seen:,} samples, {trained / 60:.1f} minutes")
 
-    validation: Samples = data.draw("validation", 1024, np.random.default_rng(0), recipe.from_start, symmetries=1)
+    validation = data.draw("validation", 1024, np.random.default_rng(0), recipe.from_start, symmetries=1)
 
     def batches() -> Iterator[Batch]:
-        number = seen // recipe.batch
+        number = seen // recipe.batch + group.rank
         while True:  # a batch depends on its number alone, so that a resumed run goes on as if never stopped
             generator = np.random.default_rng([settings.seed, number])
             yield data.render(data.draw("train", recipe.batch, generator, recipe.from_start, symmetries=recipe.symmetries))
-            number += 1
+            number += group.size
 
     def progress() -> float:
-        return trained / (60 * settings.minutes) if settings.minutes else seen / recipe.samples
+        return group.from_first(trained / (60 * settings.minutes) if settings.minutes else seen / recipe.samples)
 
     def write_checkpoint() -> None:
-        settings.run.mkdir(parents=True, exist_ok=True)
+        settings.workspace.mkdir(parents=True, exist_ok=True)
         state = {"identity": identity, "trainer": trainer.state(), "seen": seen, "trained": trained}
-        partial = checkpoint.with_suffix(".partial")
-        torch.save({**state, "best": best, "best_measures": best_measures}, partial)
-        os.replace(partial, checkpoint)
+        partial_path = checkpoint.with_suffix(".partial")
+        torch.save({**state, "best": best, "best_measures": best_measures}, partial_path)
+        os.replace(partial_path, checkpoint)
+
+    def make_card(measures: dict[str, float]) -> ModelCard:
+        card = card_of(trainer.network)
+        card.preset, card.commit, card.metrics = settings.preset, source_commit(), measures
+        card.data = {key: data.manifest[key] for key in ("hash", "episodes", "hiders", "seekers", "layouts", "horizons")}
+        card.training = {
+            **asdict(recipe),
+            "samples": seen,
+            "minutes": trained / 60,
+            "device": str(group.device),
+            "seed": settings.seed,
+        }
+        card.training.pop("network")
+        card.notes = notes_of(settings.preset, recipe)
+        return card
 
     stream = prefetch(batches)
-    running, counted, clock, written, reported, report_clock = (
-        torch.zeros((), device=device),
-        0,
-        time.monotonic(),
-        trained,
-        seen,
-        trained,
-    )
-    while (done := progress()) < 1.0:
-        running += trainer.learn(next(stream), rate_factor(recipe, done))
-        counted += 1
-        seen += recipe.batch
+    loss, steps = torch.zeros((), device=group.device), 0  # summed since the last report
+    reported, reported_at, written_at, clock = seen, trained, trained, time.monotonic()
+    done = progress()
+    while done < 1.0:
+        loss += trainer.learn(next(stream), rate_factor(recipe, done))
+        steps += 1
+        seen += recipe.batch * group.size
         trained, clock = trained + time.monotonic() - clock, time.monotonic()
-        finished = progress() >= 1.0
-        if seen - reported >= settings.report_every or finished:
-            speed = (seen - reported) / max(trained - report_clock, 1e-9)
+        done = progress()
+        if group.rank == 0 and (seen - reported >= settings.report_every or done >= 1.0):
             measures, (batch, views) = trainer.validate(data.batches(validation, 64))
-            draw_panel(settings.run / "latest.png", batch, views)
+            draw_panel(settings.workspace / "latest.png", batch, views)
             better = measures["loss"] < best
             if better:
                 best, best_measures = measures["loss"], measures
-                card = card_of(trainer.network)
-                card.preset, card.commit, card.metrics = settings.preset, source_commit(), measures
-                card.data = {key: data.manifest[key] for key in ("hash", "episodes", "hiders", "seekers", "layouts", "horizons")}
-                card.training = {
-                    **asdict(recipe),
-                    "samples": seen,
-                    "minutes": trained / 60,
-                    "device": str(device),
-                    "seed": settings.seed,
-                }
-                card.training.pop("network")
-                card.notes = notes_of(settings.preset, recipe)
-                save(trainer.network, settings.to, card)
-            left = trained * (1 / max(progress(), 1e-9) - 1)
+                save(trainer.network, settings.to, make_card(measures))
+            speed, left = (seen - reported) / max(trained - reported_at, 1e-9), trained * (1 / max(done, 1e-9) - 1) / 60
             parts = "  ".join(f"{name} {value:.4f}" for name, value in measures.items())
-            print(
-                f"{100 * progress():5.1f} %  {seen:>9,} samples  {speed:4.0f}/s  {left / 60:4.0f} min left  loss {running.item() / counted:.4f}"
-                f"  validation: {parts}{'  *' if better else ''}",
-                flush=True,
+            say(
+                f"{100 * done:5.1f} %  {seen:>9,} samples  {speed:4.0f}/s  {max(left, 0):4.0f} min left  loss {loss.item() / steps:.4f}"
+                f"  validation: {parts}{'  * saved' if better else ''}"
             )
-            running.zero_()
-            counted, reported, clock = 0, seen, time.monotonic()
-            report_clock = trained
-        if trained - written >= 60 * settings.checkpoint_minutes or finished:
+            loss.zero_()
+            steps, reported, reported_at, clock = 0, seen, trained, time.monotonic()
+        if group.rank == 0 and (trained - written_at >= 60 * settings.checkpoint_minutes or done >= 1.0):
             write_checkpoint()
-            written, clock = trained, time.monotonic()
-    print(f"best validation: {best_measures}; weights in {settings.to}")
+            written_at, clock = trained, time.monotonic()
+    say(f"best validation: {best_measures}; weights in {settings.to}")
+    group.leave()
     return 0
 
 
@@ -331,3 +343,11 @@ def notes_of(preset: str, recipe: Recipe) -> list[str]:
         if differs
     ]
     return [*notes, *([f"Beyond the paper's recipe: {'; '.join(changed)}."] if changed else [])]
+
+
+if __name__ == "__main__":  # for torchrun
+    import sys
+
+    import tyro
+
+    sys.exit(main(tyro.cli(TrainVptTobSettings)))

@@ -1,6 +1,6 @@
 """VPT-TOB: the hider's view now and its planned path -> the seeker's view at a future step (paper, VPT-TOB Network).
 
-Shapes: B images, H = W = 128. The input holds seven channels: state image red, green, blue; F luminance, alpha; T luminance, alpha.
+Shapes: B images of 128 x 128. The seven input channels are those of `vantage.networks.inputs`.
 """
 
 from __future__ import annotations

@@ -21,7 +21,10 @@ Network = VptTob | Vpn
 AnyNetwork = TypeVar("AnyNetwork", VptTob, Vpn)
 
 CARD_VERSION = 1
-_SETTINGS: dict[str, type[VptTobSettings] | type[VpnSettings]] = {VptTob.architecture: VptTobSettings, Vpn.architecture: VpnSettings}
+_SETTINGS: dict[str, type[VptTobSettings] | type[VpnSettings]] = {
+    VptTob.architecture: VptTobSettings,
+    Vpn.architecture: VpnSettings,
+}
 
 
 class UnusableWeights(ValueError):
@@ -118,7 +121,9 @@ def read_card(path: Path) -> ModelCard:
     except FileNotFoundError:
         raise UnusableWeights(f"the model card {card} is missing: weights are used only with their card") from None
     except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise UnusableWeights(f"the model card {card} cannot be read ({error}): train again, or fetch weights and card again") from None
+        raise UnusableWeights(
+            f"the model card {card} cannot be read ({error}): train again, or fetch weights and card again"
+        ) from None
 
 
 def load(path: Path, kind: type[AnyNetwork]) -> tuple[AnyNetwork, ModelCard]:
