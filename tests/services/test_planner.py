@@ -1,0 +1,206 @@
+"""The planner: value map, choice of the goal, controller, retries. The predictor's part is played by rules of the test."""
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from schemas import GOAL_COUNT, PRIMITIVES, Command, Episode, Plan, PredictReply, PredictRequest, Rules, StateImage, Tick
+from services.planner.core import PlannerCore, PlannerSettings
+from services.planner.value_map import checkpoints, choose_goal, values_of
+from services.simulator.core import SimulatorCore
+from vantage.service import Answered, Arrived, Ask, Publish, Send, Unexpected, Woken
+from vantage.world.arena import GOALS
+
+Judge = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.float32]]
+
+
+def far_from_the_origin(paths: NDArray[np.float32], horizons: tuple[int, ...]) -> NDArray[np.float32]:
+    """Pretend that the corner (0, 0) is dangerous: probability falls with the distance at each checkpoint."""
+    distances = np.linalg.norm(paths[:, list(horizons)], axis=2)
+    return np.clip(1.0 - distances / 1.7, 0.0, 1.0).astype(np.float32)
+
+
+class Play:
+    """A planner core with a real simulator core; the seeker stays where it is."""
+
+    def __init__(self, settings: PlannerSettings | None = None, seed: int = 3, layout: str = "random", steps: int = 60) -> None:
+        self.planner = PlannerCore(settings)
+        self.simulator = SimulatorCore()
+        self.rules = Rules(maximum_steps=steps, step_period=0.0, layout=layout)
+        self.plans: list[Plan] = []
+        self.commands: list[Command] = []
+        self.views: list[StateImage] = []
+        self.asked: list[PredictRequest] = []
+        self.poses: list[tuple[float, float]] = []
+        setup = Episode(stamp=1, episode=1, seed=seed, phase="setup", rules=self.rules)
+        world = self.simulator.step(Arrived("episode", setup), 5)
+        self.planner.step(Arrived("episode", setup), 5)
+        self.pending = self.show(world, 0)
+
+    def show(self, world: Sequence[Send], step: int) -> list[Send]:
+        sends: list[Send] = []
+        for send in world:
+            assert isinstance(send, Publish)
+            if send.key == "hider/pose":
+                self.poses.append((send.message.x, send.message.y))  # type: ignore[attr-defined]
+            if send.key in self.planner.declaration.inputs:
+                sends += self.planner.step(Arrived(send.key, send.message), 5)
+        sends += self.planner.step(Arrived("tick", Tick(stamp=5, episode=1, step=step)), 5)
+        return sends
+
+    def take(self, sends: Sequence[Send]) -> list[Ask]:
+        asks = []
+        for send in sends:
+            if isinstance(send, Ask):
+                assert isinstance(send.request, PredictRequest)
+                self.asked.append(send.request)
+                asks.append(send)
+            elif isinstance(send, Publish):
+                kind: dict[type, list] = {Plan: self.plans, Command: self.commands, StateImage: self.views}  # type: ignore[type-arg]
+                kind[type(send.message)].append(send.message)
+        return asks
+
+    def answer(self, ask: Ask, judge: Judge) -> Sequence[Send]:
+        request = ask.request
+        assert isinstance(request, PredictRequest)
+        paths = np.frombuffer(request.paths, np.float32).reshape(request.path_count, request.path_steps, 2)
+        caught = judge(paths, request.horizons)
+        return self.planner.step(Answered("predictor", ask.token, PredictReply(stamp=5, caught=caught.tobytes())), 5)
+
+    def run(self, judge: Judge = far_from_the_origin) -> None:
+        (ask,) = self.take(self.pending)
+        self.take(self.answer(ask, judge))
+        for step in range(self.rules.maximum_steps - 1):
+            self.simulator.step(Arrived("hider/command", self.commands[-1]), 5)
+            stay = Command(stamp=5, episode=1, step=step, primitive="stay")
+            self.take(self.show(self.simulator.step(Arrived("seeker/command", stay), 5), step + 1))
+
+
+def test_it_asks_once_about_every_open_goal_and_drives_to_the_safest() -> None:
+    play = Play(steps=200)
+    play.run()
+    (request,) = play.asked
+    plan = play.plans[0]
+    open_goals = [goal for goal, value in enumerate(plan.values) if value is not None]
+    assert request.path_count == len(open_goals) > 60
+    assert request.horizons == tuple(range(9, 200, 10))
+    assert plan.goal == min(open_goals, key=lambda goal: plan.values[goal])  # type: ignore[arg-type,return-value]
+    assert np.linalg.norm(GOALS[plan.goal]) > 1.2, "with a dangerous origin the far corner is safest"
+    assert math.dist(play.poses[-1], GOALS[plan.goal]) < 0.02
+    assert [command.step for command in play.commands] == list(range(200))
+
+
+def test_play_follows_the_plan_exactly_where_nothing_is_in_the_way() -> None:
+    play = Play(seed=4, layout="lab", steps=60)
+    play.run()
+    starts = [*(plan.step for plan in play.plans), 60]
+    for plan, end in zip(play.plans, starts[1:], strict=True):
+        planned = np.frombuffer(plan.path, np.float32).reshape(-1, 3)
+        for step in range(plan.step, end):
+            assert planned[step - plan.step, :2] == pytest.approx(play.poses[step], abs=1e-5)
+
+
+def test_every_message_carries_the_stamp_of_the_picture() -> None:
+    play = Play()
+    play.run()
+    assert {message.stamp for message in [*play.commands, *play.views, *play.plans]} == {5}
+
+
+def test_a_predictor_that_fails_is_asked_again() -> None:
+    play = Play()
+    (ask,) = play.take(play.pending)
+    with pytest.raises(Unexpected, match="nobody"):
+        play.planner.step(Answered("predictor", ask.token, None, "nobody serves it"), 10)
+    wake = play.planner.wake_at()
+    assert wake is not None and wake > 10
+    (again,) = play.take(play.planner.step(Woken(), wake))
+    play.take(play.answer(again, far_from_the_origin))
+    assert len(play.plans) == 1 and len(play.commands) == 1
+
+
+def test_a_reply_of_the_wrong_size_is_set_aside_and_asked_again() -> None:
+    play = Play()
+    (ask,) = play.take(play.pending)
+    with pytest.raises(Unexpected, match="answered 1 probabilities"):
+        play.planner.step(Answered("predictor", ask.token, PredictReply(stamp=1, caught=bytes(4))), 10)
+    assert play.planner.wake_at() is not None
+
+
+def test_it_plans_from_the_step_at_which_it_was_started() -> None:
+    play = Play(steps=60)
+    play.run()
+    late = PlannerCore()
+    running = Episode(stamp=1, episode=1, seed=3, phase="running", rules=play.rules)
+    assert late.step(Arrived("episode", running), 5) == ()
+    world = SimulatorCore().step(Arrived("episode", Episode(stamp=1, episode=1, seed=3, phase="setup", rules=play.rules)), 5)
+    sends: list[Send] = []
+    for send in world:
+        if isinstance(send, Publish) and send.key in late.declaration.inputs:
+            message = send.message if send.key == "layout" else _at_step(send.message, 30)
+            sends += late.step(Arrived(send.key, message), 5)
+    sends += late.step(Arrived("tick", Tick(stamp=5, episode=1, step=30)), 5)
+    (ask,) = [send for send in sends if isinstance(send, Ask)]
+    assert isinstance(ask.request, PredictRequest)
+    assert ask.request.path_steps == 30 and ask.request.horizons == (9, 19, 29)
+
+
+def _at_step(message, step):  # type: ignore[no-untyped-def]
+    from msgspec.structs import replace
+
+    return replace(message, step=step)
+
+
+def test_the_privileged_map_blocks_goals_that_the_camera_cannot_know() -> None:
+    seen, privileged = Play(seed=9), Play(PlannerSettings(map="privileged"), seed=9)
+    seen.run()
+    privileged.run()
+    blocked = [{goal for goal, value in enumerate(play.plans[0].values) if value is None} for play in (seen, privileged)]
+    assert len(blocked[1]) > len(blocked[0])
+
+
+def test_it_leaves_episodes_of_other_hiders_alone() -> None:
+    from schemas import Players
+
+    with pytest.raises(Unexpected, match="not the planner"):
+        PlannerCore().step(Arrived("episode", Episode(stamp=1, seed=1, phase="setup", players=Players(hider="human"))), 1)
+
+
+def test_commands_are_primitives_of_the_table() -> None:
+    play = Play()
+    play.run()
+    assert {command.primitive for command in play.commands} <= set(PRIMITIVES)
+    assert len({command.primitive for command in play.commands}) > 1
+
+
+@pytest.mark.parametrize(("horizon", "count"), [(100, 10), (200, 20), (5, 0), (10, 1), (99, 9)])
+def test_checkpoints_are_those_of_the_paper(horizon: int, count: int) -> None:
+    steps = checkpoints(horizon, 10)
+    assert len(steps) == count
+    assert all(step == 10 * k - 1 for k, step in enumerate(steps, start=1))
+
+
+def test_binary_values_count_and_expected_values_add() -> None:
+    caught = np.array([[0.1, 0.6, 0.9], [0.5, 0.5, 0.5]], np.float32)
+    assert values_of(caught, "binary").tolist() == [2.0, 3.0]
+    assert values_of(caught, "expected") == pytest.approx([1.6, 1.5])
+
+
+@given(st.lists(st.integers(0, 4), min_size=GOAL_COUNT, max_size=GOAL_COUNT), st.floats(0, 1.2), st.floats(0, 1.2))
+def test_ties_go_to_the_goal_farthest_from_the_hider(values: list[int], x: float, y: float) -> None:
+    array = np.array(values, float)
+    array[::7] = np.nan
+    goal = choose_goal(array, x, y)
+    best = [other for other in range(GOAL_COUNT) if array[other] == np.nanmin(array)]
+    assert goal in best
+    assert math.dist((x, y), GOALS[goal]) == pytest.approx(max(math.dist((x, y), GOALS[other]) for other in best))
+
+
+def test_all_goals_blocked_is_a_clear_error() -> None:
+    with pytest.raises(ValueError, match="nowhere to go"):
+        choose_goal(np.full(GOAL_COUNT, np.nan), 0.5, 0.5)
+    assert len(GOALS) == GOAL_COUNT
