@@ -71,7 +71,7 @@ class Reader:
         self.ask()
 
     def beat(self) -> None:
-        self.take(self.stream.announced(self.publisher.count - 1))
+        self.stream.announced(self.publisher.count - 1)
         self.ask()
 
     def settle(self) -> None:
@@ -81,7 +81,7 @@ class Reader:
             self.answer(True)
 
 
-steps = st.lists(st.sampled_from(["heard", "dropped", "beat", "answer", "unanswered", "left"]), max_size=200)
+steps = st.lists(st.sampled_from(["heard", "dropped", "beat", "answer", "unanswered", "left", "abandoned"]), max_size=200)
 
 
 @given(steps, st.integers(1, 40), st.integers(0, 30), st.integers(0, 5))
@@ -99,7 +99,9 @@ def test_everything_since_is_delivered_in_order_or_counted(events: list[str], ca
         elif event == "beat":
             reader.beat()
         elif event == "left":
-            reader.take(reader.stream.left())
+            reader.stream.left()
+        elif event == "abandoned":
+            reader.take(reader.stream.abandon())
             reader.ask()
         else:
             reader.answer(event == "answer")
@@ -167,14 +169,19 @@ def test_messages_wait_no_longer_than_the_limit_for_missing_ones() -> None:
     assert stream.arrived(7, 7, 0, 7) == [Missing(1), 2, 3, 4, 5, 6, 7]
 
 
-def test_publisher_that_died_ends_the_wait() -> None:
+def test_publisher_out_of_reach_is_waited_for_until_it_is_given_up() -> None:
     stream: Stream[int] = Stream(0, 0, 100)
     stream.arrived(0, 0, 0, 0)
     stream.arrived(3, 3, 0, 3)
     stream.announced(5)
     assert stream.question() == "_sn=1.."
+    assert stream.left()
     assert stream.ended() == []
     assert stream.question() is None
-    stream.left()
+    stream.announced(5)
+    assert stream.abandon() == []
     assert stream.question() == "_sn=1.."
-    assert stream.ended() == [Missing(2), 3, Missing(2)]
+    assert stream.ended() == []
+    assert stream.left()
+    assert stream.abandon() == [Missing(2), 3, Missing(2)]
+    assert not stream.left()

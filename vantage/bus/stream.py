@@ -70,24 +70,32 @@ class Stream(Generic[AnyItem]):
             return self._give_up()
         return self._drain() if self.next is not None else []
 
-    def announced(self, last: int) -> list[AnyItem | Missing]:
-        """Take note of a publisher that is (again) there, or of the sequence of its last message (-1: unknown)."""
+    def announced(self, last: int) -> None:
+        """Take note of a publisher that is (again) there, and of the sequence of its last message (-1: unknown)."""
         self._worth_asking = True
         self._gone = False
         self._last = max(self._last, last)
-        return []
 
-    def left(self) -> list[AnyItem | Missing]:
-        """Take note that the publisher is not to be seen any more."""
+    def left(self) -> bool:
+        """Take note that the publisher is not to be seen any more: dead, or only out of reach.
+
+        Returns whether something is missing, so that `abandon` should be called after a while.
+        """
         self._gone = True
-        self._worth_asking = True
-        return []
+        return self._incomplete()
+
+    def abandon(self) -> list[AnyItem | Missing]:
+        """Wait no longer for what is missing, unless the publisher is back."""
+        return self._give_up() if self._gone and self._incomplete() else []
+
+    def _incomplete(self) -> bool:
+        return bool(self.held) or (self.next is not None and self._last >= self.next)
 
     def question(self) -> str | None:
         """Return what to ask the publisher's cache for now, as its parameters; None for nothing. `ended` must follow."""
         if self._asking or not self._worth_asking:
             return None
-        if self.next is not None and not self.held and self._last < self.next:
+        if self.next is not None and not self._incomplete():
             return None
         self._asking, self._worth_asking, self._lowest_answer = True, False, None
         if self.next is not None:
@@ -112,8 +120,6 @@ class Stream(Generic[AnyItem]):
         self._asking = False
         if self._lowest_answer is not None:
             self._worth_asking = True
-        elif self._gone:
-            return self._give_up()
         if self.next is not None:
             return self._drain()
         delivered = self._join(for_good=self._ask_all and self._lowest_answer is not None)

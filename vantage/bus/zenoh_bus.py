@@ -6,6 +6,8 @@ Zenoh's threads only push what they get onto one queue; everything else happens 
 from __future__ import annotations
 
 import atexit
+import heapq
+import itertools
 import os
 import queue
 import time
@@ -68,6 +70,8 @@ class ZenohBus(Bus):
         self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
         self._origin = time.time_ns().to_bytes(8, "little") + name.encode()
         self._ready: deque[Event] = deque()
+        self._timers: list[tuple[float, int, Item]] = []
+        self._timer_numbers = itertools.count()
         self._last_published = 0
         self._calls_made = 0
         self._requests_made = 0
@@ -119,7 +123,9 @@ class ZenohBus(Bus):
     def _subscribe(self, session: zenoh.Session, topic: Topic, raw: bool) -> None:
         reader: Reader
         if topic.delivery == "lossless":
-            reader = Lossless(self.put, self.prefix, topic, max(topic.cache, topic.history) if raw else topic.history)
+            reader = Lossless(
+                self.put, self._later, self.prefix, topic, max(topic.cache, topic.history) if raw else topic.history
+            )
         else:
             reader = Reader(self.put, self.prefix, topic) if raw else Newest(self.put, self.prefix, topic)
         self._kept += reader.declare(session)
@@ -129,14 +135,23 @@ class ZenohBus(Bus):
         self._announce()
         end = time.monotonic() + timeout
         while not self._ready:
+            if self._timers and self._timers[0][0] <= time.monotonic():
+                heapq.heappop(self._timers)[2].handle(self._ready)
+                continue
+            until = min(end, self._timers[0][0]) if self._timers else end
             try:
-                item = self._inbox.get(timeout=max(0.0, end - time.monotonic())) if timeout > 0 else self._inbox.get_nowait()
+                item = self._inbox.get(timeout=max(0.0, until - time.monotonic())) if timeout > 0 else self._inbox.get_nowait()
             except queue.Empty:
+                if until < end:
+                    continue
                 return None
             if item is None:
                 return None
             item.handle(self._ready)
         return self._ready.popleft()
+
+    def _later(self, seconds: float, item: Item) -> None:
+        heapq.heappush(self._timers, (time.monotonic() + seconds, next(self._timer_numbers), item))
 
     def call(self, key: str, request: Message, timeout: float) -> int:
         call = self._call_to_make(key, request)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 import time
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import zenoh
@@ -15,13 +15,16 @@ from zenoh.handlers import Callback
 from schemas import Topic
 from vantage.bus.interface import Event, Lost, Sample
 from vantage.bus.stream import Missing, Stream
-from vantage.bus.zenoh_events import Put, Stamp, unpack
+from vantage.bus.zenoh_events import Item, Put, Stamp, unpack
 
 QUEUE_LIMIT = 128 * 2**20
 """Bytes of one topic that may wait unread in a session; what comes beyond is dropped, and a lossless topic fetches it later."""
 
 ANSWER_TIME = 2.0
 """Seconds that a publisher's cache has to answer."""
+
+PATIENCE = 10.0
+"""Seconds for which a publisher that is out of reach, and still owes something, is waited for."""
 
 HELD_LIMIT = 1024
 """Messages of a lossless topic that wait for missing ones (or as many as the topic's cache holds)."""
@@ -112,6 +115,10 @@ class Newest(Reader):
             self.read(sample, ready)
 
 
+Later = Callable[[float, Item], None]
+"""Have an item handled after so many seconds."""
+
+
 class _Source:
     """One publisher, from its start to its end, as a lossless subscription knows it."""
 
@@ -130,8 +137,9 @@ class Lossless(Reader):
     with its last sequence number, and a cache that answers `_max=<count>` and `_sn=<first>..`.
     """
 
-    def __init__(self, put: Put, prefix: str, topic: Topic, history: int) -> None:
+    def __init__(self, put: Put, later: Later, prefix: str, topic: Topic, history: int) -> None:
         super().__init__(put, prefix, topic)
+        self._later = later
         self._key = prefix + topic.key
         self._topic = topic
         self._history = history
@@ -158,17 +166,21 @@ class Lossless(Reader):
     def read(self, sample: zenoh.Sample, ready: deque[Event]) -> None:
         stamp = unpack(sample.attachment)
         event = self.event(sample, stamp)
-        source = (self._by_origin.get(stamp.origin) or self._meet(stamp, sample.source_info)) if stamp else None
+        source = (self._by_origin.get(stamp.origin) or self._meet(stamp, sample.source_info, ready)) if stamp else None
         if source is None or stamp is None or source.stream.follows(stamp.sequence):
             ready.append(event)
         else:
             self.deliver(source, source.stream.arrived(stamp.sequence, stamp.published, stamp.started, event), ready)
 
-    def _meet(self, stamp: Stamp, info: zenoh.SourceInfo | None) -> _Source | None:
+    def _meet(self, stamp: Stamp, info: zenoh.SourceInfo | None, ready: deque[Event]) -> _Source | None:
         if info is None:
             return None
         source = self.source(f"{info.source_id.zid}/{info.source_id.eid}")
         source.publisher = stamp.publisher
+        for other in self._by_identity.values():
+            # A name is on the bus once: what it published before its restart ends here.
+            if other is not source and other.publisher == source.publisher:
+                self.abandon(other, ready)
         self._by_origin[stamp.origin] = source
         return source
 
@@ -179,6 +191,13 @@ class Lossless(Reader):
             stream: Stream[Sample] = Stream(self._since, self._history, max(HELD_LIMIT, self._topic.cache))
             source = self._by_identity[identity] = _Source(identity, stream)
         return source
+
+    def left(self, source: _Source) -> None:
+        if source.stream.left():
+            self._later(PATIENCE, _Abandoned(self, source))
+
+    def abandon(self, source: _Source, ready: deque[Event]) -> None:
+        self.deliver(source, source.stream.abandon(), ready)
 
     def deliver(self, source: _Source, items: list[Sample | Missing], ready: deque[Event]) -> None:
         """Make events of what a stream delivers, then ask what it wants to know."""
@@ -215,7 +234,8 @@ class _Heartbeat:
         identity, payload = _identity(self.sample.key_expr), self.sample.payload.to_bytes()
         if identity and len(payload) == 4:
             source = self.reader.source(identity)
-            self.reader.deliver(source, source.stream.announced(int.from_bytes(payload, "little")), ready)
+            source.stream.announced(int.from_bytes(payload, "little"))
+            self.reader.deliver(source, [], ready)
 
 
 class _Token:
@@ -229,8 +249,22 @@ class _Token:
         identity = _identity(self.sample.key_expr)
         if identity:
             source = self.reader.source(identity)
-            there = self.sample.kind == zenoh.SampleKind.PUT
-            self.reader.deliver(source, source.stream.announced(-1) if there else source.stream.left(), ready)
+            if self.sample.kind == zenoh.SampleKind.PUT:
+                source.stream.announced(-1)
+                self.reader.deliver(source, [], ready)
+            else:
+                self.reader.left(source)
+
+
+class _Abandoned:
+    __slots__ = ("reader", "source")
+
+    def __init__(self, reader: Lossless, source: _Source) -> None:
+        self.reader = reader
+        self.source = source
+
+    def handle(self, ready: deque[Event]) -> None:
+        self.reader.abandon(self.source, ready)
 
 
 class _Question:
