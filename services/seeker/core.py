@@ -79,6 +79,7 @@ class SeekerCore:
             self._memory,
             self._attention.look_interval,
             self._attention.needs_whole,
+            self._attention.cuts_corners,
             self._seed,
             pose.step,
             view.ranges,

@@ -19,7 +19,7 @@ from vantage.perception.state_image import SEEN_COLUMNS
 from vantage.world.arena import FORWARD, GOALS, LEFT, RIGHT, ROBOT_RADIUS, STAY, STEP_LENGTH
 from vantage.world.motion import heading_number
 from vantage.world.noise import uniform
-from vantage.world.search import CELL_SIZE, CELLS, CLEARANCE, COST_SCALE, cell_of, find_path, follow
+from vantage.world.search import CELL_SIZE, CELLS, CLEARANCE, cell_of, find_path, follow
 
 
 class Attention(NamedTuple):
@@ -28,13 +28,16 @@ class Attention(NamedTuple):
     Attributes:
         look_interval: steps between looks while chasing or going to the last known place.
         needs_whole: whether the whole disc must be in view at such a look.
+        cuts_corners: whether it drives straight to what it can reach straight, or keeps to the headings of A*'s grid. Who
+            cuts corners keeps the hider in view, so that rare looks alone hardly weaken it.
     """
 
     look_interval: int
     needs_whole: bool
+    cuts_corners: bool
 
 
-PRESETS = {"expert": Attention(1, False), "glancing": Attention(20, True)}
+PRESETS = {"expert": Attention(1, False, True), "glancing": Attention(20, True, False)}
 
 EXPLORE, CHASE, RECALL = 0, 1, 2  # RECALL: on the way to the last known place
 
@@ -42,8 +45,9 @@ CONTACT = 0.145  # m between centres at which a seeker that sees the hider stand
 RECALLED = 0.030  # m from the last known place at which it counts as reached
 VISITED = 0.060  # m from a place to explore at which it counts as reached
 REFRESH = 0.050  # m that the hider moves before a path round obstacles is planned anew
-NARROW = ROBOT_RADIUS + 0.006  # m kept from boundary cells where no path keeps CLEARANCE
-DETOUR = 30.0  # steps that a way through a narrow gap must save
+KEPT = (
+    ROBOT_RADIUS + 0.006
+)  # m kept from boundary cells: less than CLEARANCE, a chaser may brush a box (a move in 700 is refused)
 BUMP_STEPS = 80  # steps for which a place that refused a move is avoided
 NEVER_AGE = 100  # steps added to the age of a place that was never in view
 AGE_NOISE = 60.0  # steps, width of the uniform noise on a place's age
@@ -145,14 +149,14 @@ def _note_bump(memory, step, x, y, heading):  # type: ignore[no-untyped-def]
 
 @kernel
 def _line_is_free(squares, from_x, from_y, to_x, to_y, spared):  # type: ignore[no-untyped-def]
-    """Whether a line but for its last `spared` m crosses no cell nearer than NARROW; leaving one within LEAVING m is allowed."""
+    """Whether a line but for its last `spared` m crosses no cell nearer than KEPT; leaving one within LEAVING m is allowed."""
     length = math.hypot(to_x - from_x, to_y - from_y)
     samples = math.ceil(max(length - spared, 0.0) / (0.5 * CELL_SIZE))
     leaving = True
     for i in range(samples):
         along = i * 0.5 * CELL_SIZE
         part = along / length
-        if squares[cell_of(from_y + part * (to_y - from_y)), cell_of(from_x + part * (to_x - from_x))] >= too_near(NARROW):
+        if squares[cell_of(from_y + part * (to_y - from_y)), cell_of(from_x + part * (to_x - from_x))] >= too_near(KEPT):
             leaving = False
         elif not leaving or along > LEAVING:
             return False
@@ -193,8 +197,13 @@ def _go_straight(memory, x, y, to_x, to_y):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _take_path(memory, waypoints, x, y, spared):  # type: ignore[no-untyped-def]
-    """Adopt a path of the grid, pulled taut: from each place on straight to the last waypoint that can be seen from it."""
+def _take_path(memory, waypoints, x, y, spared, cuts_corners):  # type: ignore[no-untyped-def]
+    """Adopt a path of the grid; who cuts corners goes from each waypoint straight to the last one within free reach."""
+    if not cuts_corners:
+        count = min(len(waypoints), WAYPOINTS)
+        memory.waypoints[:count] = waypoints[:count]
+        memory.numbers[_COUNT], memory.numbers[_INDEX] = count, 1
+        return
     memory.waypoints[0, 0], memory.waypoints[0, 1], memory.waypoints[0, 2] = x, y, 1.0
     count, last = 1, len(waypoints) - 1
     index = 0
@@ -219,29 +228,23 @@ def _take_path(memory, waypoints, x, y, spared):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _go(memory, x, y, heading, to_x, to_y, spared):  # type: ignore[no-untyped-def]
-    """Plan to a place: straight where that is free, else by A*, and by A* through narrow gaps. Returns whether there is a way."""
-    if _line_is_free(memory.squares, x, y, to_x, to_y, spared):
+def _go(memory, x, y, heading, to_x, to_y, spared, cuts_corners):  # type: ignore[no-untyped-def]
+    """Plan to a place: straight where the preset and the map allow it, else by A*. Returns whether there is a way."""
+    if cuts_corners and _line_is_free(memory.squares, x, y, to_x, to_y, spared):
         _go_straight(memory, x, y, to_x, to_y)
         return True
-    direct = math.hypot(to_x - x, to_y - y) / STEP_LENGTH
-    best = np.inf
     memory.numbers[_COUNT] = 0
-    for clearance in (NARROW,):
-        blocked = memory.squares < too_near(clearance)
-        goal_x, goal_y = _free_cell_near(blocked, to_x, to_y)
-        if goal_x == goal_x:
-            waypoints, cost = find_path(blocked, x, y, heading, goal_x, goal_y, False)
-            if len(waypoints) > 0 and cost / COST_SCALE < best - DETOUR:
-                _take_path(memory, waypoints, x, y, spared)
-                best = cost / COST_SCALE
-        if best < 1.5 * direct + DETOUR:
-            break
+    blocked = memory.squares < too_near(KEPT)
+    goal_x, goal_y = _free_cell_near(blocked, to_x, to_y)
+    if goal_x == goal_x:
+        waypoints, _ = find_path(blocked, x, y, heading, goal_x, goal_y, False)
+        if len(waypoints) > 0:
+            _take_path(memory, waypoints, x, y, spared, cuts_corners)
     return memory.numbers[_COUNT] > 0
 
 
 @kernel
-def _choose_place(memory, seed, step, x, y, heading):  # type: ignore[no-untyped-def]
+def _choose_place(memory, seed, step, x, y, heading, cuts_corners):  # type: ignore[no-untyped-def]
     """Set out for the least recently seen place, with noise; each place is a goal with the cells around it."""
     scores = np.empty(len(GOALS))
     for place in range(len(GOALS)):
@@ -266,7 +269,7 @@ def _choose_place(memory, seed, step, x, y, heading):  # type: ignore[no-untyped
         best = np.argmax(scores)
         if scores[best] == -np.inf:
             break
-        if _go(memory, x, y, number, GOALS[best, 0], GOALS[best, 1], 0.0):
+        if _go(memory, x, y, number, GOALS[best, 0], GOALS[best, 1], 0.0, cuts_corners):
             memory.numbers[_PLACE], memory.numbers[_CHOSEN] = best, step
             return
         scores[best] = -np.inf
@@ -300,6 +303,7 @@ def seeker_step(
     memory: SeekerMemory,
     look_interval: int,
     needs_whole: bool,
+    cuts_corners: bool,
     seed: int,
     step: int,
     ranges: npt.NDArray[np.float64],
@@ -318,7 +322,7 @@ def seeker_step(
 
     Args:
         memory: changed in place.
-        look_interval, needs_whole: the preset, see `Attention`.
+        look_interval, needs_whole, cuts_corners: the preset, see `Attention`.
         seed: of the episode; drives the noise of the exploration.
         step: of the episode.
         ranges, kinds: [W], of `scan_columns`; fx, cx: px.
@@ -368,11 +372,11 @@ def seeker_step(
                 seen_since = memory.last_seen[cell_of(place_y), cell_of(place_x)] > numbers[_CHOSEN]
                 replan = seen_since or math.hypot(place_x - x, place_y - y) <= VISITED
             if replan or place < 0:
-                _choose_place(memory, seed, step, x, y, heading)
+                _choose_place(memory, seed, step, x, y, heading, cuts_corners)
         elif replan:
             points[_PLANNED, 0], points[_PLANNED, 1] = points[_TARGET, 0], points[_TARGET, 1]
             spared = CONTACT if numbers[_MODE] == CHASE else 0.0
-            if not _go(memory, x, y, number, points[_TARGET, 0], points[_TARGET, 1], spared):
+            if not _go(memory, x, y, number, points[_TARGET, 0], points[_TARGET, 1], spared, cuts_corners):
                 _go_straight(memory, x, y, points[_TARGET, 0], points[_TARGET, 1])
         primitive, index = follow(x, y, number, memory.waypoints[: numbers[_COUNT]], numbers[_INDEX])
         numbers[_INDEX] = index

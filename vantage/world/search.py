@@ -165,15 +165,15 @@ def _search(blocked, x, y, heading, goal_row, goal_column, reverse_allowed):  # 
     heads = np.full(_BUCKETS, -1, np.int32)
     start_row, start_column = cell_of(y), cell_of(x)
     start = (start_row * CELLS + start_column) * _HEADINGS
-    waiting = 0
+    waiting, key = 0, _UNREACHED
     for direction in range(_HEADINGS):
         turn = abs((45 * direction - 10 * heading + 180) % 360 - 180)
         cost = COST_SCALE * ((turn + 4) // 10)  # `follow` drives from 5 degrees of error on
+        key = min(key, cost + _remaining(start + direction, goal_row, goal_column, reverse_allowed))
         waiting += _relax(
             start + direction, cost, -1, goal_row, goal_column, reverse_allowed, costs, parents, heads, nexts, previous
         )
     escape = _escape_depths(blocked, start_row, start_column)
-    key = 0
     while waiting > 0:
         bucket = key & (_BUCKETS - 1)
         state = heads[bucket]
