@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import lz4.block
 import numpy as np
@@ -148,13 +148,13 @@ def _add(part: Part, game: _Game, end: Episode) -> str:
     return ""
 
 
-def _convert_log(task: tuple[list[Path], Path]) -> tuple[dict[str, NDArray[np.generic]], int, Counter[str], str]:
+def _convert_log(task: tuple[list[Path], Path]) -> tuple[dict[str, NDArray[Any]], int, Counter[str], str]:
     """Convert one log; its images go to a file, its tables are returned with the log's hash."""
     parts, images = task
     part = convert_messages(read_messages(parts))
     with images.open("wb") as file:
         file.writelines(part.images)
-    tables: dict[str, NDArray[np.generic]] = {
+    tables: dict[str, NDArray[Any]] = {
         "episodes": np.array(part.episodes, EPISODE),
         "steps": np.array(part.steps, STEP),
         "plans": np.array(part.plans, PLAN),
@@ -231,9 +231,7 @@ def convert(sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = F
     return manifest
 
 
-def _map(
-    tasks: list[tuple[list[Path], Path]], workers: int
-) -> Iterator[tuple[dict[str, NDArray[np.generic]], int, Counter[str], str]]:
+def _map(tasks: list[tuple[list[Path], Path]], workers: int) -> Iterator[tuple[dict[str, NDArray[Any]], int, Counter[str], str]]:
     workers = min(workers or multiprocessing.cpu_count(), len(tasks))
     if workers <= 1:
         yield from map(_convert_log, tasks)
@@ -242,7 +240,7 @@ def _map(
         yield from pool.imap(_convert_log, tasks)
 
 
-def _shift_rows(tables: dict[str, NDArray[np.generic]], parts: list[dict[str, NDArray[np.generic]]]) -> None:
+def _shift_rows(tables: dict[str, NDArray[Any]], parts: list[dict[str, NDArray[Any]]]) -> None:
     """Turn row numbers within a log into row numbers within the whole."""
     done: Counter[str] = Counter()
     for part in parts:

@@ -118,7 +118,7 @@ class Dataset:
             self._images = np.memmap(folder / "images.lz4", np.uint8, "r")
         except (OSError, ValueError) as error:
             raise UnusableDataset(f"{folder} is broken ({error}): convert the logs again") from None
-        self._bytes = memoryview(self._images)
+        self._bytes = memoryview(self._images)  # type: ignore[arg-type]
 
     @property
     def hash(self) -> str:

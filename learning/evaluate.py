@@ -7,6 +7,7 @@ import os
 import shlex
 import sys
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ def measure(scores: NDArray[np.float32], data: Dataset, samples: Samples, limit:
     clock_low, clock_high = bootstrap_interval(by_clock, truth, seed)
     hiders = data.episodes["hider"][samples.episode]
     edges = np.linspace(0, limit, 6).astype(int)
-    bins = [(int(low_edge), int(high_edge)) for low_edge, high_edge in zip(edges, edges[1:], strict=False)]
+    bins = [(int(low_edge), int(high_edge)) for low_edge, high_edge in pairwise(edges)]
     where = {f"{a}..{b - 1}": (samples.horizon >= a) & (samples.horizon < b) for a, b in bins}
     return {
         "horizon limit": limit,
@@ -109,7 +110,7 @@ def main(settings: EvaluateSettings) -> int:
     device, data = fast_device(), Dataset(settings.data)
     vpt_tob, vpt_tob_card = load(settings.weights / "vpt-tob.safetensors", VptTob)
     vpn, vpn_card = load(settings.weights / "vpn.safetensors", Vpn)
-    vpt_tob, vpn = vpt_tob.to(device, memory_format=torch.channels_last), vpn.to(device)
+    vpt_tob, vpn = vpt_tob.to(device, memory_format=torch.channels_last), vpn.to(device)  # type: ignore[call-overload]
     results = []
     for limit in settings.horizons:
         generator = np.random.default_rng([settings.seed, limit])
@@ -189,7 +190,8 @@ def markdown_of(report: dict[str, Any]) -> str:
     lines = [
         "# Is the hider caught? VPN on VPT-TOB predictions, unseen test examples",
         "",
-        f"`{report['command']}`, commit `{report['commit']}`, seed {report['seed']}, data `{report['data'][:16]}`, seekers {report['seekers']}",
+        f"`{report['command']}`, commit `{report['commit']}`, seed {report['seed']}, data `{report['data'][:16]}`,",
+        f"{report['test episodes']} test episodes, seekers {report['seekers']}",
         "",
         "| " + " | ".join(_COLUMNS) + " |",
         "|" + "---|" * len(_COLUMNS),

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 
-def area_under_roc(scores: NDArray[np.floating], truth: NDArray[np.bool_]) -> float:
+def area_under_roc(scores: NDArray[np.floating] | NDArray[np.integer], truth: NDArray[np.bool_]) -> float:
     """Return the chance that a true case scores higher than a false one, ties counted half; NaN for one class."""
     positives = int(truth.sum())
     negatives = len(truth) - positives

@@ -140,7 +140,7 @@ def main(settings: TrainVpnSettings) -> int:
     predictor, inputs = None, {}
     if recipe.on == "predictions":
         predictor, predictor_card = load(settings.vpt_tob, VptTob)
-        predictor = predictor.to(device, memory_format=torch.channels_last)
+        predictor = predictor.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         inputs = {settings.vpt_tob.name: predictor_card.sha256}
     views, caught = gather_views(recipe, predictor, data, "train", recipe.images, device, settings.seed)
     held_views, held_caught = gather_views(recipe, predictor, data, "validation", recipe.images // 5, device, settings.seed)

@@ -311,8 +311,8 @@ def main(settings: TrainVptTobSettings) -> int:
             speed, left = (seen - reported) / max(trained - reported_at, 1e-9), trained * (1 / max(done, 1e-9) - 1) / 60
             parts = "  ".join(f"{name} {value:.4f}" for name, value in measures.items())
             say(
-                f"{100 * done:5.1f} %  {seen:>9,} samples  {speed:4.0f}/s  {max(left, 0):4.0f} min left  loss {loss.item() / steps:.4f}"
-                f"  validation: {parts}{'  * saved' if better else ''}"
+                f"{100 * done:5.1f} %  {seen:>9,} samples  {speed:4.0f}/s  {max(left, 0):4.0f} min left"
+                f"  loss {loss.item() / steps:.4f}  validation: {parts}{'  * saved' if better else ''}"
             )
             loss.zero_()
             steps, reported, reported_at, clock = 0, seen, trained, time.monotonic()
