@@ -25,13 +25,12 @@ from learning.hiders.core import HiderCore
 from learning.hiders.policy import HiderPolicy
 from learning.hiders.replay import Trajectories
 from learning.hiders.table import HIDERS
+from learning.in_process import play
 from schemas import PRIMITIVES, Command, Episode, Players, Rules
 from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
-from vantage.bus import InProcessNetwork, Sample, VirtualClock
 from vantage.log import LogWriter, RunMetadata, read, source_commit
-from vantage.service import Runtime, run_in_process
 
 EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
 EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
@@ -168,18 +167,12 @@ def play_block(settings: CollectSettings, block: range, trajectories: Trajectori
         required=("simulator", "seeker", "hider"),
         settle=0.0,
     )
-    network = InProcessNetwork(clock=VirtualClock(EPOCH + first * EPISODE_SPACING))
-    recorder = network.session("recorder")
-    recorder.subscribe("**", raw=True)
-    runtimes = [
-        Runtime(core, network.session(name), network.clock, health=False)
-        for name, core in (
-            ("simulator", SimulatorCore(settings.world)),
-            ("seeker", SeekerCore(SeekerSettings(publish_view=settings.views))),
-            ("hider", HiderCore(make_policy, publish_view=settings.views)),
-            ("referee", RefereeCore(referee)),
-        )
-    ]
+    cores = {
+        "simulator": SimulatorCore(settings.world),
+        "seeker": SeekerCore(SeekerSettings(publish_view=settings.views)),
+        "hider": HiderCore(make_policy, publish_view=settings.views),
+        "referee": RefereeCore(referee),
+    }
     # What a log says of its making must not depend on where or when it was made.
     portable = replace(settings, to=Path(), from_logs=None, workers=0)
     metadata = RunMetadata(
@@ -187,33 +180,11 @@ def play_block(settings: CollectSettings, block: range, trajectories: Trajectori
         configuration=json.dumps(asdict(portable), default=lambda value: msgspec.to_builtins(value, enc_hook=str)),
         started=EPOCH + first * EPISODE_SPACING,
     )
-    games = steps = 0
     partial = path.with_suffix(".partial")
     partial.unlink(missing_ok=True)
     # No flush by the wall clock: chunks, and so the file's bytes, depend on the messages alone.
     with LogWriter(partial, metadata, compression="lz4", sync=False, flush_period=2**62) as writer:
-
-        def record() -> bool:
-            nonlocal games, steps
-            while (event := recorder.receive(0.0)) is not None:
-                if not isinstance(event, Sample):
-                    continue
-                writer.write(
-                    event.key,
-                    event.payload,
-                    log_time=event.published,
-                    publish_time=event.published,
-                    sequence=event.sequence,
-                    publisher=event.publisher,
-                )
-                if event.key == "tick":
-                    steps += 1
-                elif event.key == "episode":
-                    message = event.decode()
-                    games += isinstance(message, Episode) and message.phase in ("ended", "aborted")
-            return games == len(block)
-
-        run_in_process(network, runtimes, record)
+        steps = play(cores, len(block), EPOCH + first * EPISODE_SPACING, writer)
     partial.rename(path)
     return steps
 
