@@ -30,6 +30,8 @@ STALE_PERIODS = 10
 STALE_MINIMUM = 2.5
 """An input is stale in a running real-time game when it is older than 10 of its periods, and than 2.5 s."""
 
+LAST_WORDS = 1.0
+"""Seconds that a raw service goes on with what has arrived before it was stopped."""
 MOST_INPUTS = 200
 """Keys that health tells apart; a raw service counts further ones together, as `**`."""
 
@@ -317,6 +319,11 @@ class Runtime:
         """Loop until `stop` or SIGTERM."""
         while not self._stopping:
             self.turn(1.0)
+        if self._raw:
+            # What has arrived is recorded before the end; SIGKILL follows SIGTERM after 2 s.
+            until = time.monotonic() + LAST_WORDS
+            while time.monotonic() < until and (event := self.bus.receive(0.0)) is not None:
+                self._handle(event, self.clock())
         if self.health:
             self.bus.publish(f"health/{self.core.declaration.name}", self.health_report("stopping"))
 

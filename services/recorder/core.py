@@ -31,6 +31,8 @@ class RecorderSettings:
     """Folder of the logs; each start of the recorder begins a new one, named by arena and time."""
     viewer: bool = True
     """Write channels for Foxglove, Lichtblick and Rerun beside the originals."""
+    viewer_rate: float = 5.0
+    """Pictures a second of each camera in those channels, where pictures exceed 256 KiB; the originals are all there."""
     compression: Compression = "zstd"
     """Of small messages; camera pictures above 32 KiB use lz4 where it gains something."""
     weights: Path = Path(__file__).resolve().parents[2] / "weights"
@@ -89,7 +91,7 @@ class RecorderCore:
             compression=settings.compression,
             split_bytes=None if settings.split_megabytes is None else int(settings.split_megabytes * 1e6),
             split_seconds=None if settings.split_minutes is None else 60 * settings.split_minutes,
-            viewer=Viewer(arena_appearance()).translate if settings.viewer else None,
+            viewer=Viewer(arena_appearance(), settings.viewer_rate).translate if settings.viewer else None,
         )
         self._flush_at = now + FLUSH_PERIOD
 

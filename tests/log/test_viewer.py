@@ -111,6 +111,23 @@ def test_the_one_row_camera_is_tall_enough_to_be_seen(tmp_path: Path) -> None:
     assert image.data == row * 32
 
 
+def test_large_pictures_can_be_thinned_out() -> None:
+    lens = Intrinsics(fx=300.0, fy=300.0, cx=319.5, cy=239.5)
+    viewer, whole = Viewer(arena_appearance(), picture_rate=5.0), Viewer(arena_appearance())
+    small = StateImage(stamp=0, data=bytes(128 * 128))
+    shown = every = 0
+    for number in range(90):
+        stamp = STAMP + number * 40_000_000
+        picture = encode(ColorImage(stamp=stamp, width=640, height=480, intrinsics=lens, data=bytes(640 * 480 * 3)))
+        shown += len(viewer.translate("hider/color", picture))
+        every += len(whole.translate("hider/color", picture))
+        assert len(viewer.translate("hider/view", encode(small))) == 1
+    assert (shown, every) == (18, 90)
+    # A clock that was set back does not stop the pictures.
+    early = encode(ColorImage(stamp=5, width=640, height=480, intrinsics=lens, data=bytes(640 * 480 * 3)))
+    assert len(viewer.translate("hider/color", early)) == 1
+
+
 def test_state_images_have_the_palettes_colours(tmp_path: Path) -> None:
     indices = (np.arange(128 * 128) % 5).astype(np.uint8).reshape(128, 128)
     found = shown(tmp_path, ("hider/view", StateImage(stamp=STAMP, data=indices.tobytes())))

@@ -42,6 +42,7 @@ _GOALS_A_SIDE = 11
 _GOAL_SPACING = 0.1  # m; as Plan.values describes it
 _CELL_PIXELS = 20
 _LOWEST_PICTURE = 32
+_LARGE = 256 * 1024
 
 Picture = NDArray[np.uint8]
 
@@ -177,8 +178,15 @@ def value_picture(values: tuple[float | None, ...], goal: int | None) -> Picture
 class Viewer:
     """Translates messages of the bus; see `translate`."""
 
-    def __init__(self, appearance: Appearance) -> None:
+    def __init__(self, appearance: Appearance, picture_rate: float | None = None) -> None:
+        """Args:
+        appearance: what things look like.
+        picture_rate: of pictures above 256 KiB, show at most so many a second of each topic (a recorder that copies two
+            640 x 480 RGB-D streams at 30 Hz a second time works twice as hard); None: show all.
+        """
         self._appearance = appearance
+        self._picture_period = 0 if picture_rate is None else round(1e9 / picture_rate)
+        self._last_shown: dict[str, int] = {}
         self._translations: dict[type[Message], Callable[[str, Any], list[tuple[str, Any]]]] = {
             Pose: self._pose,
             DepthImage: self._depth,
@@ -203,6 +211,11 @@ class Viewer:
             message = decode(topic.type, payload)
         except MalformedMessage:
             return []
+        if len(payload) > _LARGE and self._picture_period:
+            since = message.stamp - self._last_shown.get(key, -self._picture_period)
+            if 0 <= since < self._picture_period:
+                return []
+            self._last_shown[key] = message.stamp
         return [_as_viewer_message(name, shown) for name, shown in translation(key, message)]
 
     def _pose(self, key: str, message: Pose) -> list[tuple[str, Any]]:

@@ -324,7 +324,8 @@ class LogWriter:
 
     def _fail(self, part: Part, error: OSError) -> None:
         what = "the disk is full" if error.errno in (errno.ENOSPC, errno.EDQUOT) else (error.strerror or str(error))
-        self.error = f"{part.path}: {what}; {sum(self.dropped.values())} messages dropped so far"
+        dropped = sum(missed for (key, _), missed in self.dropped.items() if not key.startswith(VIEWER_PREFIX))
+        self.error = f"{part.path}: {what}; messages dropped so far: {dropped}"
 
     def _finish(self, part: Part, gaps: dict[tuple[str, str], int]) -> None:
         for group in part.groups:

@@ -1,0 +1,266 @@
+"""The recorder: every byte of the bus in the log, in process and as a process."""
+
+from __future__ import annotations
+
+import errno
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from mcap.reader import make_reader
+
+from schemas import Health, Pose, encode
+from services.recorder.core import RecorderCore, RecorderSettings, log_path, weights_hash
+from tests.log.making import game
+from vantage.bus import InProcessNetwork, Lost, Sample, VirtualClock
+from vantage.bus.zenoh_bus import ZenohBus
+from vantage.log import BrokenLog, Record, find_logs, open_log, read
+from vantage.log.report import info
+from vantage.service import SECOND, Publish, Runtime, Woken
+
+NOW = 1_800_000_000 * SECOND
+
+
+def core(folder: Path, **options: object) -> RecorderCore:
+    settings = RecorderSettings(logs=folder / "logs", weights=folder / "weights", **options)  # type: ignore[arg-type]
+    return RecorderCore(settings, "table", "the process table", NOW)
+
+
+def publisher_of(key: str) -> str:
+    if key in ("episode", "tick"):
+        return "referee"
+    if key.endswith("command") or key == "hider/plan":
+        return "seeker" if key.startswith("seeker") else "planner"
+    return "simulator"
+
+
+@pytest.mark.parametrize("viewer", [False, True])
+def test_a_game_is_recorded_byte_for_byte(tmp_path: Path, viewer: bool) -> None:
+    clock = VirtualClock(NOW)
+    network = InProcessNetwork(clock=clock)
+    recorder = core(tmp_path, viewer=viewer)
+    runtime = Runtime(recorder, network.session("recorder"), clock)
+    sessions = {name: network.session(name) for name in ("referee", "simulator", "seeker", "planner")}
+    said = []
+    for key, message in game(1, 20):
+        clock.advance(0.01)
+        sessions[publisher_of(key)].publish(key, message)
+        said.append((key, publisher_of(key), clock.now, encode(message)))
+        runtime.drain()
+    recorder.close()
+    found = [record for record in read(tmp_path / "logs") if not record.key.startswith("health/")]
+    assert [(r.key, r.publisher, r.publish_time, r.payload) for r in found] == said
+    report = info(tmp_path / "logs")[0]
+    assert {topic.missing for topic in report.topics.values()} == {0}
+    with open_log(*find_logs(tmp_path / "logs")[0]) as log:
+        assert log.metadata["arena"] == "table"
+        assert "the process table" in log.metadata["configuration"]
+    both = list(read(tmp_path / "logs", viewer=True))
+    assert (len(both) > len(found) + 40) == viewer
+
+
+def test_losses_are_noted_in_the_log_and_on_the_bus(tmp_path: Path) -> None:
+    recorder = core(tmp_path)
+    (sent,) = recorder.step(Lost("hider/pose", "simulator", 4), NOW)
+    assert isinstance(sent, Publish)
+    assert (sent.key, sent.message.key, sent.message.missed) == ("gap", "hider/pose", 4)  # type: ignore[attr-defined]
+    # Its own note comes back over the bus, and is in the log once.
+    recorder.step(Sample("gap", encode(sent.message), "recorder", 0, NOW, type(sent.message)), NOW + 1)
+    recorder.close()
+    (record,) = read(tmp_path / "logs")
+    assert record.decode() == sent.message
+    with open_log(*find_logs(tmp_path / "logs")[0]) as log:
+        assert log.gaps == {"hider/pose simulator": 4}
+
+
+def test_malformed_and_unknown_messages_are_kept_and_counted(tmp_path: Path) -> None:
+    clock = VirtualClock(NOW)
+    network = InProcessNetwork(clock=clock)
+    recorder = core(tmp_path)
+    runtime = Runtime(recorder, network.session("recorder"), clock)
+    for number in range(1000):
+        runtime._handle(Sample(f"stranger/{number}", b"\x01", "", 0, 0), NOW)
+    runtime._handle(Sample("hider/pose", b"nonsense", "simulator", 0, NOW, Pose), NOW)
+    runtime._handle(Sample("hider/pose", encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0)), "simulator", 1, NOW, Pose), NOW)
+    health = runtime.health_report("ok")
+    counts = {item.key: (item.received, item.malformed) for item in health.inputs}
+    assert counts["hider/pose"] == (2, 1)
+    assert sum(malformed for _, malformed in counts.values()) == 1001
+    assert health.failed == 0
+    assert "malformed" in health.reason
+    recorder.close()
+    found = [record for record in read(tmp_path / "logs") if record.key == "hider/pose"]
+    assert [record.well_formed for record in found] == [False, True]
+    assert found[0].payload == b"nonsense"
+    assert recorder.writer.undeclared == 1000
+
+
+def test_it_flushes_each_second_without_being_spoken_to(tmp_path: Path) -> None:
+    recorder = core(tmp_path)
+    recorder.step(Sample("hider/pose", encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0)), "simulator", 0, NOW, Pose), NOW)
+    assert recorder.wake_at() == NOW + SECOND
+    recorder.step(Woken(), NOW + SECOND)
+    assert recorder.wake_at() == NOW + 2 * SECOND
+    with pytest.warns(BrokenLog, match="breaks off"):
+        assert len(list(read(tmp_path / "logs"))) == 1
+    recorder.close()
+
+
+def test_a_full_disk_is_trouble_in_health(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = VirtualClock(NOW)
+    recorder = core(tmp_path)
+    runtime = Runtime(recorder, InProcessNetwork(clock=clock).session("recorder"), clock)
+
+    def refuse(*_: object) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("vantage.log.part.os.pwritev", refuse)
+    pose = Sample("hider/pose", encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0)), "simulator", 0, NOW, Pose)
+    recorder.step(pose, NOW)
+    recorder.step(Woken(), NOW + SECOND)
+    health = runtime.health_report("ok")
+    assert health.state == "degraded"
+    assert "the disk is full; messages dropped so far: 1" in health.reason
+    monkeypatch.undo()
+    recorder.step(pose, NOW + 2 * SECOND)
+    recorder.step(Woken(), NOW + 2 * SECOND)
+    assert runtime.health_report("ok").state == "ok"
+    recorder.close()
+
+
+def test_parts_by_size_and_by_time(tmp_path: Path) -> None:
+    recorder = core(tmp_path, split_megabytes=None, split_minutes=1.0)
+    pose = encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0))
+    for number in range(10):
+        at = NOW + number * 20 * SECOND
+        recorder.step(Sample("hider/pose", pose, "simulator", number, at, Pose), at)
+    recorder.close()
+    assert len(list((tmp_path / "logs").iterdir())) == 4
+    assert [record.sequence for record in read(tmp_path / "logs")] == list(range(10))
+
+
+def test_names_are_free_and_empty_logs_leave_nothing(tmp_path: Path) -> None:
+    first = core(tmp_path)
+    second = core(tmp_path)
+    assert first.writer.part != second.writer.part
+    first.close()
+    second.close()
+    assert list((tmp_path / "logs").iterdir()) == []
+    assert log_path(tmp_path, "table", NOW).name.startswith("table-20")
+
+
+def test_weights_are_named_by_their_hash(tmp_path: Path) -> None:
+    (tmp_path / "vpn.safetensors").write_bytes(b"abc")
+    assert weights_hash(tmp_path) == "vpn:ba7816bf8f01cfea"
+    assert weights_hash(tmp_path / "missing") == ""
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    # Sockets want a short path.
+    with tempfile.TemporaryDirectory(prefix="vr") as name:
+        yield Path(name)
+
+
+def start(folder: Path, *options: str) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "services.recorder", "--folder", str(folder), "--logs", str(folder / "logs"), *options]
+    return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
+
+
+def await_recorder(bus: ZenohBus, uptime: float = 0.0) -> Health:
+    """Wait until the recorder says it is well."""
+    deadline = time.monotonic() + 20
+    while time.monotonic() < deadline:
+        event = bus.receive(0.2)
+        if isinstance(event, Sample) and event.key == "health/recorder":
+            health = event.decode()
+            assert isinstance(health, Health)
+            if health.state == "ok" and health.uptime >= uptime and bus.has_reader("hider/pose"):
+                return health
+    raise AssertionError("the recorder does not come up")
+
+
+def quiet_read(path: Path) -> list[Record]:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", BrokenLog)
+        return list(read(path))
+
+
+def pose(number: int) -> Pose:
+    return Pose(stamp=time.time_ns(), step=number, x=0.1, y=0.2, heading=0.3)
+
+
+@pytest.mark.stack
+def test_the_process_records_strangers_and_ends_on_sigterm(folder: Path) -> None:
+    recorder = start(folder)
+    with ZenohBus("simulator", folder) as bus:
+        bus.subscribe("health/recorder")
+        await_recorder(bus)
+        for number in range(300):
+            bus.publish("hider/pose", pose(number))
+        bus._session.put("vantage/table/stranger/key", b"who am I")  # type: ignore[union-attr]
+        bus._session.put("vantage/table/seeker/pose", b"nonsense")  # type: ignore[union-attr]
+        before = time.time_ns()
+        health = await_recorder(bus)
+        while health.stamp < before + SECOND:
+            health = await_recorder(bus)
+        assert {item.key: item.received for item in health.inputs}["hider/pose"] == 300
+        recorder.send_signal(signal.SIGTERM)
+        assert recorder.wait(2.0) == 0
+    records = list(read(folder / "logs"))
+    assert [record.sequence for record in records if record.key == "hider/pose"] == list(range(300))
+    assert [(r.payload, r.well_formed) for r in records if r.key == "stranger/key"] == [(b"who am I", False)]
+    assert [(r.payload, r.well_formed) for r in records if r.key == "seeker/pose"] == [(b"nonsense", False)]
+    (path,) = (folder / "logs").iterdir()
+    with path.open("rb") as file:
+        assert sum(1 for _ in make_reader(file, validate_crcs=True).iter_messages()) > len(records)
+
+
+@pytest.mark.stack
+def test_a_killed_recorder_loses_at_most_a_second_and_its_successor_goes_on(folder: Path) -> None:
+    first = start(folder)
+    with ZenohBus("simulator", folder) as bus:
+        bus.subscribe("health/recorder")
+        await_recorder(bus)
+        published = {}
+        number = 0
+        deadline = time.monotonic() + 2.5
+        while time.monotonic() < deadline:
+            bus.publish("hider/pose", pose(number))
+            published[number] = time.time_ns()
+            number += 1
+            bus.receive(0.01)
+        os.kill(first.pid, signal.SIGKILL)
+        killed = time.time_ns()
+        first.wait()
+        kept = {record.sequence for record in quiet_read(folder / "logs") if record.key == "hider/pose"}
+        assert kept >= {number for number, at in published.items() if at < killed - 1.3 * SECOND}
+        second = start(folder)
+        await_recorder(bus)
+        bus.publish("hider/pose", pose(number))
+        await_recorder(bus, uptime=1.0)
+        second.send_signal(signal.SIGTERM)
+        assert second.wait(2.0) == 0
+    assert len(find_logs(folder / "logs")) == 2
+    newest = max((folder / "logs").iterdir(), key=lambda path: path.stat().st_mtime)
+    assert number in {record.sequence for record in read(newest) if record.key == "hider/pose"}
+
+
+@pytest.mark.stack
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [(("--logs", "/proc/nowhere"), "recorder cannot start: "), (("--split-megabytes", "many"), "--split-megabytes")],
+)
+def test_what_is_wrong_is_said_at_the_start(folder: Path, options: tuple[str, ...], told: str) -> None:
+    recorder = start(folder, *options)
+    _, said = recorder.communicate(timeout=20)
+    assert recorder.returncode != 0
+    assert told in said
+    assert "Traceback" not in said
