@@ -31,6 +31,7 @@ from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
 from vantage.log import LogWriter, RunMetadata, read, source_commit
+from vantage.service import Core
 
 EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
 EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
@@ -167,7 +168,7 @@ def play_block(settings: CollectSettings, block: range, trajectories: Trajectori
         required=("simulator", "seeker", "hider"),
         settle=0.0,
     )
-    cores = {
+    cores: dict[str, Core] = {
         "simulator": SimulatorCore(settings.world),
         "seeker": SeekerCore(SeekerSettings(publish_view=settings.views)),
         "hider": HiderCore(make_policy, publish_view=settings.views),
