@@ -1,0 +1,59 @@
+"""Shape of the networks: the paper's layers, what an output pixel can see, and that folding changes nothing."""
+
+import pytest
+import torch
+from torch import nn
+
+from vantage.networks.inference import folded
+from vantage.networks.vpn import Vpn
+from vantage.networks.vpt_tob import VptTob, VptTobSettings
+
+SMALL = VptTobSettings(width=0.25)
+
+
+def convolutions(module: nn.Module) -> list[nn.Module]:
+    return [layer for layer in module.modules() if isinstance(layer, nn.Conv2d)]
+
+
+def test_the_preset_paper_is_the_papers_network() -> None:
+    network = VptTob()
+    assert len(convolutions(network.encoder)) == 8
+    assert sum(isinstance(layer, nn.ConvTranspose2d) for layer in [*(up.up for up in network.ups), network.view]) == 4  # type: ignore[union-attr]
+    assert sum(parameter.numel() for parameter in network.parameters()) == pytest.approx(0.57e6, rel=0.01)
+    vpn = Vpn()
+    kinds = [type(layer) for layer in vpn.layers]
+    assert (kinds.count(nn.Conv2d), kinds.count(nn.MaxPool2d), kinds.count(nn.Linear)) == (3, 3, 2)
+    assert kinds.index(nn.Dropout) > kinds.index(nn.Linear)
+
+
+@pytest.mark.parametrize("settings", [SMALL, VptTobSettings(width=0.25, whole_image=True, caught_head=True)])
+def test_views_are_pictures_and_the_head_is_a_logit(settings: VptTobSettings) -> None:
+    network = VptTob(settings).eval()
+    view, caught = network.forward_with_head(torch.rand(2, 7, 128, 128))
+    assert view.shape == (2, 3, 128, 128)
+    assert view.min() >= 0 and view.max() <= 1
+    assert (None if caught is None else caught.shape) == ((2,) if settings.caught_head else None)
+    assert Vpn()(view).shape == (2,)
+
+
+@pytest.mark.parametrize("whole", [False, True])
+def test_only_the_deeper_sibling_sees_the_opposite_corner(whole: bool) -> None:
+    torch.manual_seed(0)
+    network = VptTob(VptTobSettings(width=0.25, whole_image=whole)).eval()
+    image = torch.rand(1, 7, 128, 128, requires_grad=True)
+    network(image)[0, :, 0, 0].sum().backward()
+    assert image.grad is not None
+    assert bool(image.grad[0, :, 112:, 112:].abs().sum() > 0) is whole
+
+
+def test_folding_the_norms_changes_nothing() -> None:
+    torch.manual_seed(0)
+    network = VptTob(VptTobSettings(width=0.25, whole_image=True))
+    with torch.no_grad():
+        for _ in range(3):  # running statistics that are not the initial ones
+            network(torch.rand(4, 7, 128, 128))
+    network.eval()
+    image = torch.rand(3, 7, 128, 128)
+    plain = folded(network)
+    assert not any(isinstance(layer, nn.BatchNorm2d) for layer in plain.modules())
+    torch.testing.assert_close(plain(image), network(image), atol=1e-4, rtol=1e-4)
