@@ -204,7 +204,8 @@ def draw(
         if line_from[u] >= 0:
             step_x = end_x - ends[line_from[u], 0]
             step_y = end_y - ends[line_from[u], 1]
-            pieces = int(max(abs(step_x), abs(step_y))) + 1
+            # Longer than the picture only where the robot stands outside it: an absurd pose must not take for ever.
+            pieces = int(min(max(abs(step_x), abs(step_y)), 4.0 * _SIZE)) + 1
             for k in range(1, pieces):
                 _plot(image_out, end_x - step_x * k / pieces, end_y - step_y * k / pieces)
         _plot(image_out, end_x, end_y)
