@@ -16,7 +16,7 @@ import numpy.typing as npt
 from vantage.compiled import kernel
 from vantage.perception.seen_map import NEVER, SeenMap, measure, observe, too_near
 from vantage.perception.state_image import SEEN_COLUMNS
-from vantage.world.arena import FORWARD, GOALS, LEFT, RIGHT, ROBOT_RADIUS, STAY, STEP_LENGTH
+from vantage.world.arena import BACKWARD, FORWARD, GOALS, LEFT, RIGHT, ROBOT_RADIUS, STAY, STEP_LENGTH
 from vantage.world.motion import heading_number
 from vantage.world.noise import uniform
 from vantage.world.search import CELL_SIZE, CELLS, CLEARANCE, cell_of, find_path, follow
@@ -149,16 +149,19 @@ def _note_bump(memory, step, x, y, heading):  # type: ignore[no-untyped-def]
 
 @kernel
 def _line_is_free(squares, from_x, from_y, to_x, to_y, spared):  # type: ignore[no-untyped-def]
-    """Whether a line but for its last `spared` m crosses no cell nearer than KEPT; leaving one within LEAVING m is allowed."""
+    """Whether a line but for its last `spared` m crosses no cell nearer than KEPT; leaving one within LEAVING m is
+    allowed, but not across an obstacle or a refused move.
+    """
     length = math.hypot(to_x - from_x, to_y - from_y)
-    samples = math.ceil(max(length - spared, 0.0) / (0.5 * CELL_SIZE))
+    samples = math.ceil(max(length - spared, min(length, LEAVING)) / (0.5 * CELL_SIZE))
     leaving = True
     for i in range(samples):
         along = i * 0.5 * CELL_SIZE
         part = along / length
-        if squares[cell_of(from_y + part * (to_y - from_y)), cell_of(from_x + part * (to_x - from_x))] >= too_near(KEPT):
+        square = squares[cell_of(from_y + part * (to_y - from_y)), cell_of(from_x + part * (to_x - from_x))]
+        if square >= too_near(KEPT):
             leaving = False
-        elif not leaving or along > LEAVING:
+        elif not leaving or along > LEAVING or (square == 0 and i > 0):
             return False
     return True
 
@@ -234,7 +237,11 @@ def _go(memory, x, y, heading, to_x, to_y, spared, cuts_corners):  # type: ignor
         _go_straight(memory, x, y, to_x, to_y)
         return True
     memory.numbers[_COUNT] = 0
-    blocked = memory.squares < too_near(KEPT)
+    blocked = np.zeros((CELLS, CELLS), np.uint8)
+    for row in range(CELLS):
+        for column in range(CELLS):
+            square = memory.squares[row, column]
+            blocked[row, column] = 2 if square == 0 else square < too_near(KEPT)
     goal_x, goal_y = _free_cell_near(blocked, to_x, to_y)
     if goal_x == goal_x:
         waypoints, _ = find_path(blocked, x, y, heading, goal_x, goal_y, False)
@@ -377,14 +384,15 @@ def seeker_step(
             points[_PLANNED, 0], points[_PLANNED, 1] = points[_TARGET, 0], points[_TARGET, 1]
             spared = CONTACT if numbers[_MODE] == CHASE else 0.0
             if not _go(memory, x, y, number, points[_TARGET, 0], points[_TARGET, 1], spared, cuts_corners):
-                _go_straight(memory, x, y, points[_TARGET, 0], points[_TARGET, 1])
+                numbers[_MODE], numbers[_PLACE], replan = EXPLORE, -1, True
+                continue
         primitive, index = follow(x, y, number, memory.waypoints[: numbers[_COUNT]], numbers[_INDEX])
         numbers[_INDEX] = index
         if primitive != STAY or attempt == 1:
             break
         # The path is at its end: whatever it led to is not there.
         numbers[_MODE], numbers[_PLACE], replan = EXPLORE, -1, True
-    if primitive == STAY:
-        primitive = LEFT  # no place can be reached: look around
+    if primitive == STAY:  # no place can be reached: look around, and back out of what refused a move
+        primitive = BACKWARD if numbers[_BUMPED] > step and step % 2 == 0 else LEFT
     numbers[_PRIMITIVE] = primitive
     return primitive

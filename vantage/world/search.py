@@ -203,8 +203,11 @@ def _search(blocked, x, y, heading, goal_row, goal_column, reverse_allowed):  # 
                 continue
             step_cost = DIAGONAL_COST if travel % 2 else STRAIGHT_COST
             if blocked[next_row, next_column]:
-                if not blocked[row, column] or _depth(escape, row - start_row, column - start_column) <= _depth(
-                    escape, next_row - start_row, next_column - start_column
+                if (
+                    blocked[next_row, next_column] > 1
+                    or not blocked[row, column]
+                    or _depth(escape, row - start_row, column - start_column)
+                    <= _depth(escape, next_row - start_row, next_column - start_column)
                 ):
                     continue
                 step_cost *= ESCAPE_FACTOR
@@ -316,7 +319,10 @@ def path_to(tree: Tree, goal_x: float, goal_y: float) -> npt.NDArray[np.float64]
 
 @kernel
 def find_path(blocked, x, y, heading, goal_x, goal_y, reverse_allowed):  # type: ignore[no-untyped-def]
-    """A* from a pose to a goal for use inside kernels; returns (waypoints as `path_to`, cost in hundredths of a step)."""
+    """A* from a pose to a goal for use inside kernels; returns (waypoints as `path_to`, cost in hundredths of a step).
+
+    `blocked` may also be uint8 [48, 48]: 0 free, 1 blocked, 2 blocked and not to be crossed on the way out of a blocked start.
+    """
     costs, parents, end = _search(blocked, x, y, heading, cell_of(goal_y), cell_of(goal_x), reverse_allowed)
     if end < 0:
         return np.empty((0, 3)), _UNREACHED
