@@ -13,7 +13,7 @@ from vantage.service import BusSettings, run
 class Settings:
     """The simulator: bodies and cameras of both robots.
 
-    Example: python -m services.simulator --folder . --camera.width 160 --camera.height 120
+    Example: python -m services.simulator --folder . --width 160 --height 120
     """
 
     bus: tyro.conf.OmitArgPrefixes[BusSettings] = field(default_factory=BusSettings)
