@@ -114,16 +114,17 @@ def write_with_ours(
             writer.write(key, payload, log_time=number + 1, publish_time=number, sequence=number, publisher="simulator")
 
 
-def best_of(times: int, folder: Path, write: Callable[[Path], None]) -> float:
-    """Seconds of the fastest run; the file goes at once, so that the disk's queue is the same for all."""
-    durations = []
-    for number in range(times):
-        path = folder / f"{number}.mcap"
-        start = time.perf_counter()
-        write(path)
-        durations.append(time.perf_counter() - start)
-        path.unlink()
-    return min(durations)
+def best_of(times: int, folder: Path, *writes: Callable[[Path], None]) -> list[float]:
+    """Seconds of the fastest run of each, taken in turns, so that a busy machine is busy for all of them."""
+    durations: list[list[float]] = [[] for _ in writes]
+    for _ in range(times):
+        for taken, write in zip(durations, writes, strict=True):
+            path = folder / "log.mcap"
+            start = time.perf_counter()
+            write(path)
+            taken.append(time.perf_counter() - start)
+            path.unlink()
+    return [min(taken) for taken in durations]
 
 
 def measure_writer() -> None:
@@ -134,10 +135,12 @@ def measure_writer() -> None:
         for workload, messages in workloads().items():
             size = sum(len(payload) for _, payload in messages) / 1e6
             for compression, kind in kinds.items():
-                durations = (
-                    best_of(3, folder, partial(write_with_mcap, messages=messages, compression=kind)),
-                    best_of(3, folder, partial(write_with_ours, messages=messages, compression=compression)),
-                    best_of(1, folder, partial(write_with_ours, messages=messages, compression=compression, viewer=True)),
+                durations = best_of(
+                    5,
+                    folder,
+                    partial(write_with_mcap, messages=messages, compression=kind),
+                    partial(write_with_ours, messages=messages, compression=compression),
+                    partial(write_with_ours, messages=messages, compression=compression, viewer=True),
                 )
                 counted = workload == "poses"
                 raw, ours, shown = (
@@ -171,17 +174,19 @@ def say_everything_small(buses: dict[str, Bus], number: int) -> int:
     return len(said)
 
 
-def await_health(bus: Bus, uptime: float) -> Health:
-    """Wait for the recorder's word after it has been up for `uptime` s."""
-    while True:
-        event = bus.receive(10.0)
-        if event is None:
-            raise RuntimeError("the recorder says nothing")
-        if isinstance(event, Sample) and event.key == "health/recorder":
-            health = event.decode()
-            assert isinstance(health, Health)
-            if health.uptime >= uptime and bus.has_reader("hider/depth"):
-                return health
+def await_recorder(bus: Bus, settled: int) -> None:
+    """Wait until the recorder is up, and has received or given up `settled` messages (health apart)."""
+    deadline = time.monotonic() + 60
+    while time.monotonic() < deadline:
+        event = bus.receive(1.0)
+        if not isinstance(event, Sample) or event.key != "health/recorder":
+            continue
+        health = event.decode()
+        assert isinstance(health, Health)
+        done = sum(each.received + each.lost for each in health.inputs if not each.key.startswith(("health/", "gap")))
+        if done >= settled and health.uptime > 1.0 and bus.has_reader("hider/depth"):
+            return
+    print("  the recorder has not settled within a minute")
 
 
 def measure_path(seconds: float, viewer: bool) -> bool:
@@ -197,7 +202,7 @@ def measure_path(seconds: float, viewer: bool) -> bool:
         buses: dict[str, Bus] = {each: stack.enter_context(ZenohBus(each, folder)) for each in PUBLISHERS}
         simulator = buses["simulator"]
         simulator.subscribe("health/recorder")
-        await_health(simulator, 1.0)
+        await_recorder(simulator, 0)
         process = psutil.Process(recorder.pid)
         busy = -sum(process.cpu_times()[:2])
         published, rounds, behind, start = 0, 0, 0.0, time.monotonic()
@@ -214,9 +219,7 @@ def measure_path(seconds: float, viewer: bool) -> bool:
         took = time.monotonic() - start
         busy += sum(process.cpu_times()[:2])
         memory = process.memory_info().rss
-        while (health := await_health(simulator, 0.0)).stamp < time.time_ns() - 100_000_000:
-            pass
-        await_health(simulator, health.uptime + 2.0)
+        await_recorder(simulator, published)
         recorder.send_signal(signal.SIGTERM)
         recorder.wait()
         print(

@@ -64,7 +64,9 @@ class Message(Struct, frozen=True, kw_only=True):
 class Rules(Struct, frozen=True, kw_only=True):
     """The rules of one game; the defaults are the preset `paper` of the reading of the paper."""
 
-    maximum_steps: Annotated[int, Meta(ge=1, le=MAXIMUM_STEPS, description="T: the hider survives when this step is reached")] = 100
+    maximum_steps: Annotated[int, Meta(ge=1, le=MAXIMUM_STEPS, description="T: the hider survives when this step is reached")] = (
+        100
+    )
     catch_distance: Annotated[Length, Meta(description="m between centres, caught at or below")] = 0.150
     catching: Annotated[bool, Meta(description="false: catches are ignored (to record an evader's whole action sequence)")] = True
     start_distance_minimum: Annotated[Length, Meta(description="m between centres at the start")] = 0.250
@@ -81,7 +83,9 @@ class Rules(Struct, frozen=True, kw_only=True):
 class Players(Struct, frozen=True, kw_only=True):
     """Who drives the robots."""
 
-    hider: Annotated[ShortText, Meta(description="policy of the hider: `planner`, or a row of the hider table of `vantage collect`")] = "planner"
+    hider: Annotated[
+        ShortText, Meta(description="policy of the hider: `planner`, or a row of the hider table of `vantage collect`")
+    ] = "planner"
     seeker: Annotated[ShortText, Meta(description="preset of the seeker: `expert` or `glancing`")] = "glancing"
 
 
@@ -201,10 +205,16 @@ class Plan(Message, frozen=True, kw_only=True):
     checkpoint_interval: Annotated[int, Meta(ge=1, le=MAXIMUM_STEPS, description="N, steps")] = 10
     values: Annotated[
         tuple[Annotated[float, Meta(ge=0.0, le=1e6)] | None, ...],
-        Meta(max_length=GOAL_COUNT, description="V per goal, lower is safer, null = blocked; goal = 11 row + column, x = 0.1 (column + 1), y = 0.1 (row + 1); empty when the policy has none"),
+        Meta(
+            max_length=GOAL_COUNT,
+            description="V per goal, lower is safer, null = blocked; goal = 11 row + column, x = 0.1 (column + 1), "
+            "y = 0.1 (row + 1); empty when the policy has none",
+        ),
     ] = ()
     goal: Annotated[Annotated[int, Meta(ge=0, lt=GOAL_COUNT)] | None, Meta(description="index of the chosen goal")] = None
-    path: Annotated[bytes, Meta(description="float32 [n, 3], planned x, y (m), heading (rad) at this step and each later one")] = b""
+    path: Annotated[
+        bytes, Meta(description="float32 [n, 3], planned x, y (m), heading (rad) at this step and each later one")
+    ] = b""
     elapsed: Annotated[Seconds, Meta(description="time taken to plan, s; differs from run to run, like a stamp")] = 0.0
 
     def __post_init__(self) -> None:
@@ -241,7 +251,9 @@ class PredictRequest(Message, frozen=True, kw_only=True):
 class PredictReply(Message, frozen=True, kw_only=True):
     """The answer to a PredictRequest."""
 
-    caught: Annotated[bytes, Meta(description="float32 [path_count, len(horizons)], probability that the hider is caught by then")]
+    caught: Annotated[
+        bytes, Meta(description="float32 [path_count, len(horizons)], probability that the hider is caught by then")
+    ]
     views: Annotated[
         tuple[bytes, ...],
         Meta(max_length=256, description="uint8 [128, 128, 3] each: predicted seeker views, red green blue, as asked"),

@@ -79,6 +79,4 @@ TOPICS: dict[str, Topic] = {
     )
 }
 
-CALLS: dict[str, Call] = {
-    call.key: call for call in (Call("predictor", m.PredictRequest, m.PredictReply, server="predictor"),)
-}
+CALLS: dict[str, Call] = {call.key: call for call in (Call("predictor", m.PredictRequest, m.PredictReply, server="predictor"),)}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import time
 from collections.abc import Callable, Iterable
 from concurrent.futures import Future, ThreadPoolExecutor
@@ -34,6 +35,14 @@ def is_latched(topic: Topic) -> bool:
 def part_path(path: Path, number: int) -> Path:
     """Return where part `number` of the run at `path` (`RUN.mcap` or `RUN`) lies: `RUN_000.mcap`, ..."""
     return path.with_name(f"{path.name.removesuffix('.mcap')}_{number:03d}.mcap")
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
 
 
 class _Route:
@@ -262,6 +271,9 @@ class LogWriter:
         self._viewer_routes: dict[str, _Route] = {}
         self._schemas: dict[str, int] = {}
         self._part_gaps: dict[tuple[str, str], int] = {}
+        if self._sync:
+            # Else a power cut may take the file's name, and so all of it.
+            _sync_folder(part.path.parent)
         part.add_metadata(RUN, {**self._metadata, PART: str(number)} if is_part else self._metadata)
         for (key, publisher), (payload, publish_time, sequence) in self._latched.items():
             self._last_time += 1
