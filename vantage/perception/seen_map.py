@@ -55,7 +55,7 @@ def observe(
     y: float,
     heading: float,
 ) -> int:
-    """Add one view: mark the cells in front of each column's range as free, those that hold its end as boundary.
+    """Add one view: mark the cells in front of the ranges of the columns about them as free, those that hold its end as boundary.
 
     The other robot ends a column and is never boundary; a column without return tells nothing. A cell wrongly marked
     boundary is freed when a later view sees through it.
@@ -91,11 +91,12 @@ def observe(
             right = away_x * sine - away_y * cosine
             if ahead <= 0.0 or right <= left_edge * ahead or right >= right_edge * ahead:
                 continue
-            column = min(max(int(cx + fx * right / ahead + 0.5), 0), width - 1)
-            if kinds[column] == NOTHING:
+            before = min(max(math.floor(cx + fx * right / ahead), 0), width - 1)
+            after = min(before + 1, width - 1)
+            if kinds[before] == NOTHING or kinds[after] == NOTHING:
                 continue
             known = occupancy[row, cell_column]
-            if ahead < ranges[column] - (CLEARED_MARGIN if known == BOUNDARY else FREE_MARGIN):
+            if ahead < min(ranges[before], ranges[after]) - (CLEARED_MARGIN if known == BOUNDARY else FREE_MARGIN):
                 occupancy[row, cell_column] = FREE
                 last_seen[row, cell_column] = step
     added = 0

@@ -168,7 +168,7 @@ def _search(blocked, x, y, heading, goal_row, goal_column, reverse_allowed):  # 
     waiting, key = 0, _UNREACHED
     for direction in range(_HEADINGS):
         turn = abs((45 * direction - 10 * heading + 180) % 360 - 180)
-        cost = COST_SCALE * ((turn + 4) // 10)  # `follow` drives from 5 degrees of error on
+        cost = COST_SCALE * turn // 10
         key = min(key, cost + _remaining(start + direction, goal_row, goal_column, reverse_allowed))
         waiting += _relax(
             start + direction, cost, -1, goal_row, goal_column, reverse_allowed, costs, parents, heads, nexts, previous
