@@ -7,7 +7,6 @@ import json
 import multiprocessing
 import shutil
 import sys
-import warnings
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
@@ -21,13 +20,12 @@ from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, SPLITS, STEP
-from schemas import ROBOTS, ColorImage, DepthImage, Episode, MalformedMessage, Message, Plan, Pose
+from schemas import ROBOTS
 from vantage.log import find_logs, open_log, source_commit
+from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
 from vantage.perception.state_image import perceive
 
-TOPICS = ("episode", "hider/plan", *(f"{robot}/{topic}" for robot in ROBOTS for topic in ("pose", "depth", "color")))
-_POSES = tuple(f"{robot}/pose" for robot in ROBOTS)
-_PICTURES = tuple(f"{robot}/{topic}" for robot in ROBOTS for topic in ("pose", "depth", "color"))
+TOPICS = EPISODE_TOPICS - {"tick", "hider/command", "seeker/command", "hider/view", "seeker/view"}
 
 
 @dataclass(frozen=True)
@@ -64,56 +62,34 @@ def split_of(seed: int) -> int:
     return 0 if tenth < 8 else tenth - 7
 
 
-@dataclass
-class _Game:
-    """What has been read of one episode."""
-
-    head: Episode
-    messages: dict[tuple[str, int], Message] = field(default_factory=dict)
-    plans: dict[int, Plan] = field(default_factory=dict)
-
-
-def read_messages(parts: list[Path]) -> Iterator[tuple[str, Message]]:
-    """Yield (key, message) of what a training set needs; what is malformed is passed over."""
-    with open_log(*parts) as log:
-        for record in log.records(TOPICS):
-            try:
-                yield record.key, record.decode()
-            except MalformedMessage as error:
-                warnings.warn(f"{parts[0].name}: {record.key}: {error}", stacklevel=2)
-
-
-def convert_messages(messages: Iterable[tuple[str, Message]]) -> Part:
-    """Return the training episodes of one log. Episodes that cannot serve are left out and counted by reason."""
+def convert_games(games: Iterable[EpisodeLog]) -> Part:
+    """Return the training episodes among some games; those that cannot serve are counted by reason."""
     part = Part()
-    games: dict[int, _Game] = {}
-    for key, message in messages:
-        if isinstance(message, Episode):
-            if message.phase == "setup":
-                games[message.episode] = _Game(message)
-            elif message.phase in ("ended", "aborted") and message.episode in games:
-                game = games.pop(message.episode)
-                reason = "aborted" if message.phase == "aborted" else _add(part, game, message)
-                if reason:
-                    part.left_out[reason] += 1
-        elif message.episode in games:
-            if isinstance(message, Plan):
-                games[message.episode].plans[message.step] = message
-            else:
-                games[message.episode].messages[key, message.step] = message
-    part.left_out["not finished"] += len(games)
+    for game in games:
+        reason = _unusable(game)
+        if reason:
+            part.left_out[reason] += 1
+        else:
+            _add(part, game)
     return part
 
 
-def _add(part: Part, game: _Game, end: Episode) -> str:
-    """Add an episode; returns why it was left out, or nothing."""
-    if not game.head.rules.catching:
+def _unusable(game: EpisodeLog) -> str:
+    """Return why a game cannot serve, or nothing."""
+    if game.episode.phase != "ended":
+        return "aborted or not finished"
+    if not game.complete:
+        return "messages missing"
+    if not game.episode.rules.catching:
         return "catches ignored (an evader's trajectory, to be replayed)"
     if not any(plan.path for plan in game.plans.values()):
         return "no planned path"
-    last = max((step for _, step in game.messages), default=0) if end.caught_step is None else end.caught_step
-    if any((key, step) not in game.messages for step in range(last + 1) for key in _PICTURES):
-        return "steps missing"
+    return ""
+
+
+def _add(part: Part, game: EpisodeLog) -> None:
+    head = game.episode
+    last = game.steps if head.caught_step is None else head.caught_step
     first_step, first_plan = len(part.steps), len(part.plans)
     plan_steps = sorted(step for step, plan in game.plans.items() if plan.path)
     for step in plan_steps:
@@ -125,12 +101,11 @@ def _add(part: Part, game: _Game, end: Episode) -> str:
         in_force = int(np.searchsorted(plan_steps, step, side="right")) - 1
         poses = []
         for robot in ROBOTS:
-            pose, depth, color = (game.messages[f"{robot}/{topic}", step] for topic in ("pose", "depth", "color"))
-            assert isinstance(pose, Pose) and isinstance(depth, DepthImage) and isinstance(color, ColorImage)
-            part.images.append(lz4.block.compress(perceive(depth, color, pose, robot).image, store_size=False))
+            pose = game.poses[robot][step]
+            view = perceive(game.depths[robot][step], game.colors[robot][step], pose, robot)
+            part.images.append(lz4.block.compress(view.image, store_size=False))
             poses.append((pose.x, pose.y, pose.heading))
         part.steps.append((*poses, first_plan + in_force if in_force >= 0 else -1))
-    head = game.head
     part.episodes.append(
         (
             head.episode,
@@ -140,18 +115,18 @@ def _add(part: Part, game: _Game, end: Episode) -> str:
             head.rules.layout.encode()[:64],
             first_step,
             last + 1,
-            -1 if end.caught_step is None else end.caught_step,
+            -1 if head.caught_step is None else head.caught_step,
             head.rules.maximum_steps,
             split_of(head.seed),
         )
     )
-    return ""
 
 
 def _convert_log(task: tuple[list[Path], Path]) -> tuple[dict[str, NDArray[Any]], int, Counter[str], str]:
     """Convert one log; its images go to a file, its tables are returned with the log's hash."""
     parts, images = task
-    part = convert_messages(read_messages(parts))
+    with open_log(*parts) as log:
+        part = convert_games(episodes(log.records(TOPICS)))
     with images.open("wb") as file:
         file.writelines(part.images)
     tables: dict[str, NDArray[Any]] = {

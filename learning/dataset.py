@@ -116,7 +116,7 @@ class Dataset:
             self.positions = np.load(folder / "positions.npy")
             self._offsets = np.load(folder / "offsets.npy")
             self._images = np.memmap(folder / "images.lz4", np.uint8, "r")
-        except (OSError, ValueError) as error:
+        except (OSError, EOFError, ValueError) as error:
             raise UnusableDataset(f"{folder} is broken ({error}): convert the logs again") from None
         self._bytes = memoryview(self._images)  # type: ignore[arg-type]
 
