@@ -402,6 +402,12 @@ class Runtime:
             self._set_aside_malformed(sample, error)
             return
         counts.received += 1
+        topic = TOPICS.get(sample.key)
+        if topic is not None and sample.publisher not in topic.publishers:
+            # A stranger's episode with an absurd number would make us deaf to the real ones.
+            self._unexpected += 1
+            self._trouble = f"set aside: {sample.key} from {sample.publisher or 'a stranger'}, who may not publish it"
+            return
         counts.last = now
         counts.publisher = sample.publisher
         if type(message) is Episode:
