@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
+import pytest
 import zenoh
 
 from schemas import CALLS, TOPICS
@@ -117,6 +118,7 @@ def uncounted(before: Counts, after: Counts, sent: Mapping[str, int], expected: 
     return lacks
 
 
+@pytest.mark.timeout(400)
 def test_no_service_dies_of_nonsense_and_all_is_counted(table: Table) -> None:
     assert table.started.returncode == 0, table.started.stderr
     barrage(table, randoms=100_000 // len(KEYS) + 1, shapes=10_000 // len(KEYS) + 1, questions=50)
