@@ -164,7 +164,11 @@ class Zenoh(Network):
         """Return a bare Zenoh session within the folder."""
         from vantage.bus.zenoh_session import configuration
 
-        session = zenoh.open(zenoh.Config.from_json5(json.dumps(configuration("stranger", self.folder))))
+        session = zenoh.open(
+            zenoh.Config.from_json5(
+                json.dumps(configuration("stranger", self.folder, frozenset({"publisher", "second", "server"})))
+            )
+        )
         self.strangers.append(session)
         return session
 

@@ -38,6 +38,15 @@ def one(network: Network, bus: Bus, kind: type) -> Event:
     return network.collect(bus, lambda events: bool(events) and isinstance(events[-1], kind))[-1]
 
 
+def meet(network: Network, bus: Bus, *others: Bus) -> None:
+    """Wait until a session knows others, and with them what they read and serve."""
+    bus.watch()
+    for other in others:
+        other.receive(0.0)
+    names = {other.name for other in others}
+    network.collect(bus, lambda events: names <= {event.name for event in events if isinstance(event, Alive) and event.alive})
+
+
 def test_message_and_what_travels_with_it(network: Network) -> None:
     publisher, reader = network.session("publisher"), network.session("reader")
     reader.subscribe("hider/pose")
@@ -114,8 +123,7 @@ def test_latest_skips_to_the_newest(network: Network) -> None:
     publisher, reader, recorder = network.session("publisher"), network.session("reader"), network.session("recorder")
     reader.subscribe("newest", "steady")
     recorder.subscribe("**", raw=True)
-    network.wait_for_reader(publisher, "newest")
-    network.wait_for_reader(publisher, "steady")
+    meet(network, publisher, reader, recorder)
     for stamp in range(100):
         publisher.publish("newest", pose(stamp))
     publisher.publish("steady", pose(100))
@@ -236,9 +244,7 @@ def test_call_is_answered(network: Network) -> None:
 
 def ask_when_served(network: Network, caller: Bus, server: Bus) -> int:
     """Return the token of a call made as soon as the server is known to live."""
-    server.receive(0.0)
-    caller.watch()
-    network.collect(caller, lambda events: Alive("server", True) in events)
+    meet(network, caller, server)
     return caller.call("question", question(5), 30.0)
 
 
@@ -326,10 +332,8 @@ def test_many_calls_at_once_answered_in_batches(network: Network) -> None:
     server = network.session("server")
     callers = [network.session(name) for name in ("caller", "other")]
     server.serve("question")
-    server.receive(0.0)
     for caller in callers:
-        caller.watch()
-        network.collect(caller, lambda events: Alive("server", True) in events)
+        meet(network, caller, server)
     tokens = [{caller.call("question", question(seed), 30.0): seed for seed in range(128)} for caller in callers]
     for _ in range(8):
         batch = network.collect(server, lambda events: sum(isinstance(e, Request) for e in events) >= 32)

@@ -19,6 +19,13 @@ CATCH_UP = 16
 """How many past messages a reader asks for when it meets a publisher, to find those published while the two were connecting."""
 
 
+WINDOW = 16
+"""How many missing messages a reader asks for at once: more, and their sheer number would be dropped on the way."""
+
+DOUBT = 3
+"""How often a publisher must answer with later messages only, before those asked for count as gone: answers get lost, too."""
+
+
 @dataclass(frozen=True, slots=True)
 class Missing:
     """So many messages can no longer be had."""
@@ -47,6 +54,9 @@ class Stream(Generic[AnyItem]):
         self._worth_asking = False
         self._lowest_answer: int | None = None
         self._ask_all = False
+        self._asked_for = -1  # the `next` of the last question
+        self._in_vain = 0  # questions since that did not bring it
+        self._doubt = 0  # of these, those that brought later ones
         self._kept_from = 0  # the publisher keeps nothing below
         self._gone = False
 
@@ -98,33 +108,37 @@ class Stream(Generic[AnyItem]):
         if self.next is not None and not self._incomplete():
             return None
         self._asking, self._worth_asking, self._lowest_answer = True, False, None
-        if self.next is not None:
-            return f"_sn={self.next}.."
-        return "_sn=0.." if self._ask_all else f"_max={max(self._history, CATCH_UP)}"
+        if self.next is None:
+            return "_sn=0.." if self._ask_all else f"_max={max(self._history, CATCH_UP)}"
+        if self.next != self._asked_for:
+            self._asked_for, self._in_vain, self._doubt = self.next, 0, 0
+        return f"_sn={self.next}.." if self._in_vain else f"_sn={self.next}..{self.next + WINDOW - 1}"
 
     def answered(self, sequence: int, published: int, started: int, item: AnyItem) -> list[AnyItem | Missing]:
-        """Take a message out of the publisher's cache. The cache answers in order, so the first shows what it still has."""
+        """Take a message out of the publisher's cache, which answers in order; some answers may get lost."""
         self._started_after = started >= self._since
         if self._lowest_answer is None:
             self._lowest_answer = sequence
-        if self.next is None:
+        if self.next is None or sequence >= self.next:
             self.held[sequence] = (published, item)
-            return []
-        if sequence >= self.next:
-            self.held[sequence] = (published, item)
-            self._kept_from = max(self._kept_from, self._lowest_answer)
-        return self._drain()
+        return self._drain() if self.next is not None else []
 
     def ended(self) -> list[AnyItem | Missing]:
         """Take note that no more answers come to the last question."""
         self._asking = False
         if self._lowest_answer is not None:
             self._worth_asking = True
-        if self.next is not None:
-            return self._drain()
-        delivered = self._join(for_good=self._ask_all and self._lowest_answer is not None)
-        self._ask_all = bool(self.held) and self._lowest_answer is not None
-        return delivered
+        if self.next is None:
+            delivered = self._join(for_good=self._ask_all and self._lowest_answer is not None)
+            self._ask_all = bool(self.held) and self._lowest_answer is not None
+            return delivered
+        if self.next == self._asked_for:
+            self._in_vain += 1
+            if self._lowest_answer is not None:
+                self._doubt += 1
+                if self._doubt >= DOUBT:
+                    self._kept_from = self._lowest_answer
+        return self._drain()
 
     def _join(self, for_good: bool) -> list[AnyItem | Missing]:
         """Start delivering, the wanted history and everything since, if it is sure (or for good) where that begins."""
@@ -133,11 +147,15 @@ class Stream(Generic[AnyItem]):
         history = sorted(sequence for sequence, (published, _) in self.held.items() if published < self._since)
         if not (history or 0 in self.held or for_good):
             return []
-        for sequence in history[: len(history) - self._history]:
+        for sequence in history[: max(0, len(history) - self._history)]:
             del self.held[sequence]
-        self.next = min(self.held, default=history[-1] + 1 if history else 0)
-        unheard = [Missing(self.next)] if self._started_after and self.next else []
-        return [*unheard, *self._drain()]
+        if self._started_after:
+            self.next = 0
+        elif history:
+            self.next = history[-1] + 1 - min(self._history, len(history))
+        else:
+            self.next = min(self.held)
+        return self._drain()
 
     def _drain(self) -> list[AnyItem | Missing]:
         """Deliver what is next, over the gaps that nobody can fill."""
@@ -146,7 +164,9 @@ class Stream(Generic[AnyItem]):
         while self.held:
             found = self.held.pop(self.next, None)
             if found is not None:
-                delivered.append(found[1])
+                # Where answers got lost, the reader may have joined too early; who wants no history must not get any.
+                if self._history or found[0] >= self._since:
+                    delivered.append(found[1])
                 self.next += 1
             elif self.next < self._kept_from:
                 resumed = min(min(self.held), self._kept_from)

@@ -6,10 +6,12 @@ Zenoh's threads only push what they get onto one queue; everything else happens 
 from __future__ import annotations
 
 import atexit
+import contextlib
 import heapq
 import itertools
 import os
 import queue
+import threading
 import time
 from collections import deque
 from collections.abc import Mapping
@@ -28,6 +30,10 @@ from vantage.bus.zenoh_session import open_session
 
 HEARTBEAT = 0.2
 """Seconds between a publisher's notes of its last sequence number, by which readers notice that the last message is missing."""
+
+
+CLOSE_TIME = 1.0
+"""Seconds that closing may take."""
 
 
 class _Writer:
@@ -78,7 +84,10 @@ class ZenohBus(Bus):
         self._announced = False
         self._watching = False
         self._process = os.getpid()
-        self._session: zenoh.Session | None = open_session(name, folder)
+        known = {publisher for topic in topics.values() for publisher in topic.publishers} | {
+            call.server for call in calls.values()
+        }
+        self._session: zenoh.Session | None = open_session(name, folder, frozenset(known))
         _open_buses.add(self)
 
     @property
@@ -204,7 +213,10 @@ class ZenohBus(Bus):
         # A forked child holds a copy of the session without its threads: closing that would wait for ever.
         if session is None or os.getpid() != self._process:
             return
-        session.close()
+        # With a stopped process on the other side Zenoh takes up to ten seconds to say goodbye; nobody waits that long.
+        goodbye = threading.Thread(target=_close, args=(session,), daemon=True, name="vantage-bus-close")
+        goodbye.start()
+        goodbye.join(CLOSE_TIME)
         self._kept.clear()
         self._writers.clear()
 
@@ -231,6 +243,11 @@ def _declare_publisher(session: zenoh.Session, prefix: str, topic: Topic) -> ext
         sample_miss_detection=ext.MissDetectionConfig(heartbeat=HEARTBEAT, sporadic_heartbeat=None) if lossless else None,
         publisher_detection=True,
     )
+
+
+def _close(session: zenoh.Session) -> None:
+    with contextlib.suppress(zenoh.ZError):
+        session.close()
 
 
 _open_buses: set[ZenohBus] = set()

@@ -211,8 +211,8 @@ class Lossless(Reader):
                 Callback(asked.replied, asked.finished, indirect=False),
                 consolidation=zenoh.ConsolidationMode.NONE,
                 accept_replies=zenoh.ReplyKeyExpr.ANY,
-                # The answers are sent as the question is.
-                congestion_control=zenoh.CongestionControl.BLOCK,
+                # The answers are sent as the question is: BLOCK would hold up the publisher's receiving thread.
+                congestion_control=zenoh.CongestionControl.DROP,
                 timeout=ANSWER_TIME,
             )
 

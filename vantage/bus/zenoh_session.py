@@ -12,17 +12,21 @@ import zenoh
 
 from vantage.bus.interface import CannotOpen, NameInUse
 
-HUBS = ("recorder", "referee")
-"""Participants whose sockets everyone connects to; gossip through them makes the mesh, which outlives them."""
+LEASE = 10.0
+"""Seconds without a sign of life after which a peer's connection is closed (a peer that dies is seen at once).
 
-LEASE = 2.0
-"""Seconds without a sign of life after which a peer counts as gone."""
+No shorter: when a stopped process comes back just as its connection is closed, Zenoh (1.9, 1.10.2) now and then deletes the new
+connection along with the old one, which nothing but a restart of a process repairs. Stops up to three quarters of it are safe.
+"""
 
 _LONGEST_SOCKET_PATH = 107  # sockaddr_un.sun_path holds 108 bytes, the last of them zero
 
 
-def open_session(name: str, folder: Path) -> zenoh.Session:
+def open_session(name: str, folder: Path, known: frozenset[str]) -> zenoh.Session:
     """Open a participant's session on the sockets in `folder`, which is made (mode 0700) when it does not exist.
+
+    Args:
+        known: who may publish or serve, by the tables; see `_connections`.
 
     Raises:
         NameInUse: a living process holds the socket of that name.
@@ -33,38 +37,40 @@ def open_session(name: str, folder: Path) -> zenoh.Session:
     _make_private(folder)
     _refuse_taken_name(name, folder)
     try:
-        return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration(name, folder))))
+        return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration(name, folder, known))))
     except zenoh.ZError as error:
         _refuse_taken_name(name, folder)
         raise CannotOpen(f"Zenoh does not open a session for {name!r} in {folder}: {error}") from error
 
 
-def configuration(name: str, folder: Path) -> dict[str, object]:
+def configuration(name: str, folder: Path, known: frozenset[str]) -> dict[str, object]:
     """Return the Zenoh configuration of one participant."""
     return {
         "mode": "peer",
         "listen": {"endpoints": [_endpoint(name, folder)], "exit_on_failure": True},
         "connect": {
-            "endpoints": [_endpoint(other, folder) for other in sorted({*HUBS, *_living(folder)} - {name})],
+            "endpoints": [_endpoint(other, folder) for other in _connections(name, folder, known)],
             "exit_on_failure": False,
-            "retry": {"period_init_ms": 100, "period_max_ms": 500, "period_increase_factor": 1.5},
+            "retry": {"period_init_ms": 100, "period_max_ms": 250, "period_increase_factor": 1.5},
         },
-        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": True}},
+        "scouting": {"delay": 0, "multicast": {"enabled": False}, "gossip": {"enabled": False}},
         "timestamping": {"enabled": True},
         "transport": {
+            # Nobody waits long for a process that is stopped in the middle of its greeting.
+            "unicast": {"open_timeout": 2000, "accept_timeout": 2000},
             # Shared memory is slower than the socket below 100 KB, and a killed process leaves its segments behind.
             "shared_memory": {"enabled": False},
             "link": {
                 "protocols": ["unixsock-stream"],
                 "tx": {
                     "lease": round(1000 * LEASE),
+                    # Signs of life twice a second; to close a session to a stopped process takes as long.
+                    "keep_alive": round(2 * LEASE),
                     "queue": {
                         "size": {"data": 16},
                         # A batch goes as soon as the link is free: waiting for it to fill costs up to a millisecond, and
                         # a batch for each message (express) fills the queue with 16 small ones.
                         "batching": {"enabled": True, "time_limit": 0},
-                        # Only calls block; no longer than it takes to find out that the peer is gone.
-                        "congestion_control": {"block": {"wait_before_close": round(1e6 * LEASE)}},
                     },
                 },
             },
@@ -72,8 +78,20 @@ def configuration(name: str, folder: Path) -> dict[str, object]:
     }
 
 
+def _connections(name: str, folder: Path, known: frozenset[str]) -> list[str]:
+    """Return to whom a participant connects, for as long as it lives: of each two, always the same one connects to the other.
+
+    If both did (as with gossip, or fixed hubs), one may come back over a new connection while the other still holds the old one
+    for alive; Zenoh then joins the two, and messages arrive under wrong keys. So the known connect to those before them in the
+    alphabet, and everybody else (who only listens) to all the known, and to the unknown that are there.
+    """
+    if name in known:
+        return sorted(other for other in known if other < name)
+    return sorted((known | set(_living(folder))) - {name})
+
+
 def _living(folder: Path) -> list[str]:
-    """Return who is on the bus now: with them a participant meets its siblings even while both hubs are away."""
+    """Return who is on the bus now."""
     return [lock.name.removesuffix(".sock.lock") for lock in folder.glob("*.sock.lock") if _is_held(lock)]
 
 
