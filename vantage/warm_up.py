@@ -10,8 +10,11 @@ import tempfile
 import time
 from pathlib import Path
 
+import numpy as np
+
 from learning.collect import CollectSettings, play_block
-from schemas import Rules
+from schemas import STATE_IMAGE_SIZE, Rules
+from vantage.networks.inputs import CHANNELS, render_inputs
 
 HIDERS = ("goal-walk", "scripted", "random")
 STEPS = 25
@@ -24,6 +27,10 @@ def main() -> None:
         for hider in HIDERS:
             settings = CollectSettings(episodes=1, hider=hider, views=True, rules=Rules(maximum_steps=STEPS, catching=False))
             play_block(settings, range(1, 2), (), Path(folder) / f"{hider}.mcap")
+    first = np.zeros(1, np.int64)
+    view = np.zeros((1, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE), np.uint8)
+    inputs = np.empty((1, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, CHANNELS), np.uint8)
+    render_inputs(view, first, np.zeros((1, 2), np.float32), first, first, first, inputs)  # what the predictor calls
     print(f"the kernels are compiled ({time.monotonic() - started:.1f} s)")
 
 

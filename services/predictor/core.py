@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ class PredictorSettings:
 
     weights: Path = Path(__file__).resolve().parents[2] / "weights"
     """Folder with vpt-tob.safetensors and vpn.safetensors, each with its model card."""
-    batch: int = 64
+    batch: int = 32
     """Images computed at once; between batches the predictor listens."""
     maximum_queries: int = 16_384
     """Requests with more (path, horizon) pairs are refused."""
@@ -32,6 +32,9 @@ class PredictorSettings:
     """Requests beyond so many waiting ones are refused."""
     threads: int = 0
     """CPU threads of the networks; 0 = all cores."""
+
+
+_ONE_STEP: dict[str, Any] = {"path_count": 1, "path_steps": 1, "paths": bytes(8), "horizons": (0,)}
 
 
 class Networks(Protocol):
@@ -76,11 +79,11 @@ class PredictorCore:
         self._jobs: list[_Job] = []
 
     def warm_up(self) -> None:
-        """Compute one batch: compiles kernels and fills caches before the first request."""
-        nowhere, step = np.zeros((1, 2), np.float32), np.zeros(self.networks.batch, np.int64)
-        blank = np.zeros((1, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE), np.uint8)
-        render_inputs(blank, step, nowhere, step, step, step, self.networks.inputs)
-        self.networks.answer(step[:0])
+        """Answer a small request to nobody: compiles kernels and fills caches before the first that counts."""
+        blank = bytes(STATE_IMAGE_SIZE * STATE_IMAGE_SIZE)
+        self.step(Asked("predictor", PredictRequest(stamp=0, state_image=blank, **_ONE_STEP), 0), 0)
+        while self._jobs:
+            self.step(Woken(), 0)
 
     def wake_at(self) -> int | None:
         return 0 if self._jobs else None
@@ -109,10 +112,11 @@ class PredictorCore:
             return (Refuse(token, f"{pairs} (path, horizon) pairs asked, at most {self.settings.maximum_queries} are answered"),)
         if len(self._jobs) >= self.settings.maximum_waiting:
             return (Refuse(token, f"{len(self._jobs)} requests are waiting already"),)
-        state_image = np.frombuffer(request.state_image, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)
+        # Copies, because the kernel would be compiled once more for read-only arrays.
+        state_image = np.frombuffer(request.state_image, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE).copy()
         if state_image.max() >= len(PALETTE):
             return (Refuse(token, f"the state image holds palette index {state_image.max()}, the highest is {len(PALETTE) - 1}"),)
-        paths = np.frombuffer(request.paths, "<f4").reshape(request.path_count, request.path_steps, 2)
+        paths = np.frombuffer(request.paths, "<f4").reshape(request.path_count, request.path_steps, 2).copy()
         queries = distinct_queries(paths, np.array(request.horizons, np.int64))
         wanted: dict[int, bytes | None] = {int(queries.query[path, horizon]): None for path, horizon in request.views}
         positions = paths.reshape(-1, 2)

@@ -38,7 +38,7 @@ class Inference:
         inputs: uint8 [batch, 128, 128, 7], to be filled by the caller.
     """
 
-    def __init__(self, vpt_tob: VptTob, vpn: Vpn, batch: int = 64, threads: int = 0) -> None:
+    def __init__(self, vpt_tob: VptTob, vpn: Vpn, batch: int = 32, threads: int = 0) -> None:
         self.device = fast_device()
         self.precision = fast_precision(self.device)
         if threads:
@@ -55,7 +55,7 @@ class Inference:
         return network.to(self.device, self.precision).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
 
     @classmethod
-    def of_weights(cls, folder: Path, batch: int = 64, threads: int = 0) -> Inference:
+    def of_weights(cls, folder: Path, batch: int = 32, threads: int = 0) -> Inference:
         """Load `vpt-tob.safetensors` and `vpn.safetensors` of a folder.
 
         Raises:
