@@ -47,7 +47,7 @@ VISITED = 0.060  # m from a place to explore at which it counts as reached
 REFRESH = 0.050  # m that the hider moves before a path round obstacles is planned anew
 KEPT = (
     ROBOT_RADIUS + 0.006
-)  # m kept from boundary cells: less than CLEARANCE, a chaser may brush a box (a move in 700 is refused)
+)  # m kept from boundary cells: less than CLEARANCE, a chaser may brush a box (about one move in 900 is refused)
 BUMP_STEPS = 80  # steps for which a place that refused a move is avoided
 NEVER_AGE = 100  # steps added to the age of a place that was never in view
 AGE_NOISE = 60.0  # steps, width of the uniform noise on a place's age
