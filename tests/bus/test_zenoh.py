@@ -170,11 +170,25 @@ def test_stopped_server_is_timed_out(zenoh_network: Zenoh) -> None:
     caller.call("question", question(1), 0.5)
     zenoh_network.collect(caller, lambda events: any(isinstance(event, Reply) and bool(event.error) for event in events))
     assert 0.4 < time.monotonic() - before < 1.0
-    # A hanging service shows in its liveliness once the lease is over; and it does not hold up others that leave.
-    zenoh_network.collect(caller, lambda events: Alive("server", False) in events)
+
+
+def test_stopped_process_shows_and_then_holds_up_nobody_that_leaves(zenoh_network: Zenoh) -> None:
+    watcher = zenoh_network.session("watcher")
+    server = zenoh_network.participant("server", "hold")
+    watcher.watch()
+    zenoh_network.collect(watcher, lambda events: Alive("server", True) in events)
+    server.signal(signal.SIGSTOP)
+    zenoh_network.collect(watcher, lambda events: Alive("server", False) in events)
     before = time.monotonic()
-    caller.close()
-    assert time.monotonic() - before < 1.0
+    watcher.close()
+    assert time.monotonic() - before < 1.5
+    # Nor anybody that comes and greets it in vain.
+    for role in ("forget", "fail"):
+        leaver = zenoh_network.participant("second", role)
+        before = time.monotonic()
+        leaver.process.communicate(timeout=PATIENCE)
+        assert time.monotonic() - before < 2.0
+        assert leaver.process.returncode == (0 if role == "forget" else 1)
     server.signal(signal.SIGCONT)
 
 
