@@ -39,6 +39,7 @@ COMMANDS = (
     Command("evaluate", "learning.evaluate:main", "accuracy of trained weights beside what needs no network"),
     Command("log info", "vantage.log_commands:info", "what is in a log"),
     Command("log recover", "vantage.log_commands:recover", "repair a log that was cut off"),
+    Command("log verify", "learning.verify:main", "check that a log is whole, its outcomes true, its services repeatable"),
     Command("log export", "vantage.log_commands:export", "write a log for other programs"),
 )
 

@@ -144,7 +144,7 @@ def with_tables(text: str, services: Sequence[Declaration]) -> str:
     Raises:
         ValueError: the marks of the generated part are missing.
     """
-    begin, end = "<!-- made by python -m vantage.drawing -->\n", "\n<!-- end -->"
+    begin, end = "<!-- made by python -m vantage.drawing -->\n\n", "\n\n<!-- end -->"
     head, first, rest = text.partition(begin)
     _, last, tail = rest.partition(end)
     if not first or not last:
