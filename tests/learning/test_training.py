@@ -13,7 +13,8 @@ from learning.collect import CollectSettings, play_block
 from learning.convert import convert
 from learning.dataset import Dataset
 from learning.group import Group
-from learning.train_vpt_tob import PRESETS, Recipe, Trainer, TrainVptTobSettings, rate_factor
+from learning.recipe import PRESETS, Recipe, rate_factor
+from learning.train_vpt_tob import Trainer, TrainVptTobSettings
 from schemas import Rules
 from vantage.networks.inference import Inference
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
