@@ -23,11 +23,11 @@ from vantage.world.search import CELL_SIZE, CELLS, CLEARANCE, cell_of, find_path
 
 
 class Attention(NamedTuple):
-    """A preset. While exploring every seeker looks at every step, and SEEN_COLUMNS columns of the hider are enough.
+    """A preset. Between looks the seeker is blind for the hider, whatever it is doing; obstacles enter its map at every step.
 
     Attributes:
-        look_interval: steps between looks while chasing or going to the last known place.
-        needs_whole: whether the whole disc must be in view at such a look.
+        look_interval: steps between looks.
+        needs_whole: whether the whole disc must be in view at a look; else SEEN_COLUMNS columns are enough.
         cuts_corners: whether it drives straight to what it can reach straight, or keeps to the headings of A*'s grid. Who
             cuts corners keeps the hider in view, so that rare looks alone hardly weaken it.
     """
@@ -37,8 +37,11 @@ class Attention(NamedTuple):
     cuts_corners: bool
 
 
-PRESETS = {"expert": Attention(1, False, True), "glancing": Attention(20, True, False)}
+# `glancing` is set so that a clock alone judges the game about as badly as in the study the project began with: measured over
+# 300 goal walks, a predictor that knows only the horizon is right in .70 / .78 of all cases up to step 100 / 200.
+PRESETS = {"expert": Attention(1, False, True), "glancing": Attention(30, True, False)}
 
+LONG_AGO = -(10**9)  # step of the last look before the first one
 EXPLORE, CHASE, RECALL = 0, 1, 2  # RECALL: on the way to the last known place
 
 CONTACT = 0.145  # m between centres at which a seeker that sees the hider stands still and faces it (catches ignored)
@@ -115,6 +118,7 @@ def reset(memory: SeekerMemory) -> None:
     memory.bumps[:] = 0
     memory.numbers[:] = 0
     memory.numbers[_PLACE] = -1
+    memory.numbers[_LOOKED] = LONG_AGO
     memory.points[:] = np.nan
     measure(memory.occupancy, memory.squares)
 
@@ -287,22 +291,18 @@ def _choose_place(memory, seed, step, x, y, heading, cuts_corners):  # type: ign
 def _look(memory, step, look_interval, needs_whole, seen_columns, whole, other_x, other_y):  # type: ignore[no-untyped-def]
     """Attend to the hider if it is time to, and set the mode. Returns whether there is a new target."""
     numbers = memory.numbers
-    if numbers[_MODE] == EXPLORE:
-        seen = seen_columns >= SEEN_COLUMNS
-    else:
-        if step - numbers[_LOOKED] < look_interval:
-            return False
-        seen = seen_columns >= SEEN_COLUMNS and (whole or not needs_whole)
-        numbers[_LOOKED] = step
-        if not seen:
+    if step - numbers[_LOOKED] < look_interval:
+        return False
+    numbers[_LOOKED] = step
+    if seen_columns < SEEN_COLUMNS or (needs_whole and not whole):
+        if numbers[_MODE] == CHASE:
             numbers[_MODE] = RECALL
-    if seen:
-        fresh = numbers[_MODE] == EXPLORE
-        numbers[_MODE], numbers[_LOOKED] = CHASE, step
-        memory.points[_TARGET, 0], memory.points[_TARGET, 1] = other_x, other_y
-        moved = math.hypot(other_x - memory.points[_PLANNED, 0], other_y - memory.points[_PLANNED, 1])
-        return fresh or not moved < REFRESH or numbers[_COUNT] == 2
-    return False
+        return False
+    fresh = numbers[_MODE] == EXPLORE
+    numbers[_MODE] = CHASE
+    memory.points[_TARGET, 0], memory.points[_TARGET, 1] = other_x, other_y
+    moved = math.hypot(other_x - memory.points[_PLANNED, 0], other_y - memory.points[_PLANNED, 1])
+    return fresh or not moved < REFRESH or numbers[_COUNT] == 2
 
 
 @kernel
