@@ -23,7 +23,7 @@ from learning.panel import draw_panel
 from learning.recipe import PRESETS, Recipe, notes_of, rate_factor
 from vantage.log import source_commit
 from vantage.networks.vpt_tob import VptTob
-from vantage.networks.weights import ModelCard, card_of, fast_precision, save
+from vantage.networks.weights import ModelCard, card_of, fast_precision, load, save
 
 
 @dataclass(frozen=True)
@@ -39,6 +39,8 @@ class TrainVptTobSettings:
     """Where the weights go; the model card lies beside them. The checkpoint and the pictures go to runs/."""
     preset: Literal["paper", "compact"] = "paper"
     """`paper`: the paper's network and recipe. `compact`: a smaller network and a recipe for an hour on two CPU cores."""
+    start: Path | None = None
+    """Begin with these weights (of the same network), not from scratch; the model card names them."""
     minutes: float | None = None
     """Train for this long instead of a number of samples."""
     samples: int | None = None
@@ -75,17 +77,17 @@ def resolve(settings: TrainVptTobSettings) -> Recipe:
 
 
 class Judge(nn.Module):
-    """Reads a predicted view while it is being learnt: is the hider caught in it? A small VPN at half resolution."""
+    """Reads a predicted view while it is being learnt: is the hider caught in it? A small and quick VPN."""
 
     def __init__(self) -> None:
         super().__init__()
         self.layers = nn.Sequential(
-            *(nn.Conv2d(3, 16, 3, 2, 1), nn.ReLU(), nn.Conv2d(16, 32, 3, 2, 1), nn.ReLU()),
+            *(nn.Conv2d(3, 16, 4, 4), nn.ReLU(), nn.Conv2d(16, 32, 3, 2, 1), nn.ReLU()),
             *(nn.Conv2d(32, 32, 3, 2, 1), nn.ReLU(), nn.Flatten(), nn.Linear(32 * 8 * 8, 64), nn.ReLU(), nn.Linear(64, 1)),
         )
 
     def forward(self, views: Tensor) -> Tensor:  # [B, 3, 128, 128] -> [B]
-        return self.layers(functional.avg_pool2d(views, 2)).squeeze(1)
+        return self.layers(views).squeeze(1)
 
 
 class Trainer:
@@ -193,6 +195,15 @@ def main(settings: TrainVptTobSettings) -> int:
     say(f"VPT-TOB `{settings.preset}`, {size:,} parameters, {group.size} x {group.device}, {trainer.precision}")
     say(f"{settings.data}: episodes {data.manifest['episodes']}, by hider {data.manifest['hiders']}")
 
+    begun_with: dict[str, str] = {}
+    if settings.start:
+        earlier, earlier_card = load(settings.start, VptTob)
+        if earlier.settings != trainer.network.settings:
+            say(f"{settings.start} holds another network than the preset `{settings.preset}`: {earlier.settings}")
+            return 1
+        trainer.network.load_state_dict(earlier.state_dict())
+        begun_with = {settings.start.name: earlier_card.sha256}
+
     checkpoint = settings.workspace / "checkpoint.pt"
     identity = {"recipe": asdict(replace(recipe, samples=0)), "data": data.hash}
     seen, trained, best, best_measures = 0, 0.0, math.inf, dict[str, float]()  # samples, seconds
@@ -236,7 +247,7 @@ def main(settings: TrainVptTobSettings) -> int:
             "seed": settings.seed,
         }
         card.training.pop("network")
-        card.notes = notes_of(settings.preset, recipe)
+        card.notes, card.inputs = notes_of(settings.preset, recipe), begun_with
         return card
 
     stream = prefetch(batches)

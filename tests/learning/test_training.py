@@ -18,7 +18,7 @@ from learning.train_vpt_tob import Trainer, TrainVptTobSettings
 from schemas import Rules
 from vantage.networks.inference import Inference
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
-from vantage.networks.weights import load
+from vantage.networks.weights import load, read_card
 
 ALONE = Group(0, 1, torch.device("cpu"))
 SMALL = replace(PRESETS["compact"], network=VptTobSettings(width=0.25, whole_image=True, caught_head=True), batch=8)
@@ -102,6 +102,13 @@ def test_from_training_to_answers_and_results(
     assert "going on after 96 samples" in capsys.readouterr().out
     assert train_vpt_tob.main(replace(settings, disc_weight=2.0)) == 1  # not the same training
     assert "another recipe" in capsys.readouterr().out
+
+    again = replace(settings, start=settings.to, to=tmp_path / "more.safetensors", workspace=tmp_path / "more", samples=8)
+    first_loss = read_card(settings.to).metrics["loss"]
+    assert train_vpt_tob.main(again) == 0
+    assert read_card(again.to).inputs == {"vpt-tob.safetensors": read_card(settings.to).sha256}
+    assert read_card(again.to).metrics["loss"] < 1.5 * first_loss  # not from scratch
+    capsys.readouterr()
 
     learn = train_vpn.TrainVpnSettings(
         data=dataset.folder, vpt_tob=settings.to, to=weights / "vpn.safetensors", images=64, epochs=2, threads=1
