@@ -302,33 +302,37 @@ def policy(memory: SeekerMemory, preset: str, step: int, x: float, seen: int, wh
 
 
 def test_the_glancing_seeker_sees_the_hider_only_at_its_looks() -> None:
-    memory = SeekerMemory.empty()
-    for step in range(41):
-        if step == 20:
+    memory, interval = SeekerMemory.empty(), PRESETS["glancing"].look_interval
+    for step in range(2 * interval + 1):
+        if step == interval:
             assert memory.points[0].tolist() == [0.7, 0.6]
-        policy(memory, "glancing", step, 0.2, 30, True, 0.7 + 0.005 * step)
+        policy(memory, "glancing", step, 0.2, 30, True, 0.7 + 0.004 * step)
         assert memory.mode == CHASE
-    assert memory.points[0].tolist() == pytest.approx([0.9, 0.6])
+    assert memory.points[0].tolist() == pytest.approx([0.7 + 0.004 * 2 * interval, 0.6])
 
 
 def test_a_look_needs_the_whole_disc_for_the_glancing_and_two_columns_for_the_expert() -> None:
     glancing, expert = SeekerMemory.empty(), SeekerMemory.empty()
-    for step in range(21):
+    interval = PRESETS["glancing"].look_interval
+    for step in range(interval + 1):
         policy(glancing, "glancing", step, 0.2, 30, step == 0, 0.7)
         policy(expert, "expert", step, 0.2, 2, False, 0.7)
-        assert glancing.mode == (RECALL if step == 20 else CHASE)
+        assert glancing.mode == (RECALL if step == interval else CHASE)
         assert expert.mode == CHASE
-    policy(expert, "expert", 21, 0.2, 1, False, 0.9)
+    policy(expert, "expert", interval + 1, 0.2, 1, False, 0.9)
     assert expert.mode == RECALL
     assert expert.points[0].tolist() == [0.7, 0.6]
 
 
-def test_while_exploring_two_columns_are_enough_for_both() -> None:
-    for preset in PRESETS:
+def test_between_its_looks_the_exploring_seeker_is_blind() -> None:
+    for preset, attention in PRESETS.items():
         memory = SeekerMemory.empty()
         policy(memory, preset, 0, 0.2, 1, False, 0.7)
         assert memory.mode == EXPLORE
-        policy(memory, preset, 1, 0.2, 2, False, 0.7)
+        for step in range(1, attention.look_interval):
+            policy(memory, preset, step, 0.2, 30, True, 0.7)
+            assert memory.mode == EXPLORE
+        policy(memory, preset, attention.look_interval, 0.2, 30, True, 0.7)
         assert memory.mode == CHASE
 
 
