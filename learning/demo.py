@@ -109,7 +109,7 @@ def _play(bus: Bus, settings: DemoSettings, started: float) -> Episode:
     bus.publish("control", ask)
     view: StateImage | None = None
     plan: Plan | None = None
-    shown = 0
+    shown, playing = 0, False
     while True:
         event = bus.receive(1.0)
         if time.monotonic() > deadline:
@@ -139,7 +139,8 @@ def _play(bus: Bus, settings: DemoSettings, started: float) -> Episode:
         elif isinstance(message, Tick):
             if message.step == 0:
                 console.print(f"    first tick after {time.monotonic() - started:.1f} s")
-            elif message.step == 1:
+            elif plan is not None and not playing:
+                playing = True
                 console.print(f"4/5 playing, at most {rules.maximum_steps * rules.step_period:.0f} s ...")
             elif message.step // VIEW_INTERVAL > shown:
                 shown = message.step // VIEW_INTERVAL

@@ -21,6 +21,7 @@ from schemas import STATE_IMAGE_SIZE, Plan, Pose, PredictReply, PredictRequest, 
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
 from vantage.log.reader import read
 from vantage.perception.palette import PALETTE
+from vantage.perception.state_image import perceive
 from vantage.world.arena import ARENA_SIZE, GOALS, HIDER_COLOR, ROBOT_RADIUS, SEEKER_COLOR
 
 matplotlib.use("Agg")
@@ -72,10 +73,9 @@ def read_game(path: Path) -> Game:
 
 def draw(game: Game, path: Path) -> None:
     """Write the picture of a game as PNG."""
-    figure = Figure(figsize=(15, 10.2), dpi=100, facecolor="white")
-    grid = figure.add_gridspec(
-        2, 2, height_ratios=(1.55, 1.0), left=0.035, right=0.985, top=0.89, bottom=0.035, hspace=0.16, wspace=0.10
-    )
+    figure = Figure(figsize=(13, 12.4), dpi=100, facecolor="white")
+    margins = {"left": 0.045, "right": 0.94, "top": 0.90, "bottom": 0.03}
+    grid = figure.add_gridspec(2, 1, height_ratios=(1.3, 1.0), hspace=0.26, **margins)
     log = game.log
     rules = log.episode.rules
     ending = {
@@ -83,31 +83,33 @@ def draw(game: Game, path: Path) -> None:
         "survived": f"the hider survived all {rules.maximum_steps} steps",
     }
     outcome = ending.get(log.episode.outcome, f"the game did not end: {log.episode.reason or log.episode.phase}")
-    figure.suptitle(f"Hide-and-seek: {outcome}", fontsize=17, fontweight="bold", x=0.035, ha="left", y=0.975)
+    figure.suptitle(f"Hide-and-seek: {outcome}", fontsize=18, fontweight="bold", x=0.045, ha="left", y=0.98)
     game_facts = f"episode {log.number}, seed {log.episode.seed}, layout {rules.layout}"
-    details = f"{game_facts}, seeker preset {log.episode.players.seeker}, one step is 10 mm or 10°"
-    figure.text(0.035, 0.928, details, fontsize=11, color="0.35")
-    _draw_arena(figure.add_subplot(grid[0, 0]), log)
-    _draw_value_map(figure.add_subplot(grid[0, 1]), log)
+    details = f"{game_facts}, seeker preset {log.episode.players.seeker}; one step is 10 mm or 10 degrees"
+    figure.text(0.045, 0.937, details, fontsize=11, color="0.35")
+    maps = grid[0].subgridspec(1, 2, wspace=0.10)
+    _draw_arena(figure.add_subplot(maps[0]), log)
+    _draw_value_map(figure.add_subplot(maps[1]), log)
     steps = sorted(game.predicted) or list(range(VIEW_INTERVAL - 1, rules.maximum_steps, VIEW_INTERVAL))
-    strip = grid[1, :].subgridspec(2, len(steps) + 1, hspace=0.20, wspace=0.06, width_ratios=[0.34, *(1.0 for _ in steps)])
-    for row, title in enumerate(("predicted\nby the hider\nat its first look", "true\n(the seeker's\nown view)")):
-        label = figure.add_subplot(strip[row, 0])
-        label.axis("off")
-        label.text(0.0, 0.5, title, fontsize=11, va="center", fontweight="bold")
-    for column, step in enumerate(steps, start=1):
+    strip = grid[1].subgridspec(2, len(steps), hspace=0.22, wspace=0.05)
+    for column, step in enumerate(steps):
         top, bottom = figure.add_subplot(strip[0, column]), figure.add_subplot(strip[1, column])
         if step in game.predicted:
             view, caught = game.predicted[step]
             top.imshow(view, interpolation="nearest")
-            top.set_title(f"step {step + 1}: caught {caught:.0%}", fontsize=11)
+            top.set_title(f"step {step + 1}: caught by then {caught:.0%}", fontsize=10)
         true, when = _true_view(log, step)
         if true is not None:
             bottom.imshow(true, interpolation="nearest")
-            bottom.set_title(when, fontsize=11)
+            bottom.set_title(when, fontsize=10)
         for axes in (top, bottom):
             axes.set_xticks([])
             axes.set_yticks([])
+        if column == 0:
+            top.set_ylabel("predicted by the hider\nat its first look", fontsize=11)
+            bottom.set_ylabel("true: what the\nseeker saw", fontsize=11)
+    meaning = "seeker's views from above: white = it sees free floor, blue = it does not see, green = the seeker, red = the hider"
+    figure.text(0.045, 0.008, meaning, fontsize=10, color="0.35")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
 
@@ -133,18 +135,20 @@ def _draw_arena(axes: Axes, log: EpisodeLog) -> None:
         x, y, heading = track[-1]
         tip = (x + ROBOT_RADIUS * math.cos(heading), y + ROBOT_RADIUS * math.sin(heading))
         axes.plot([x, tip[0]], [y, tip[1]], color="black", linewidth=2, zorder=7)
-        axes.annotate(robot, (x, y - ROBOT_RADIUS - 0.012), ha="center", va="top", fontsize=10, zorder=8)
+        above = y < 0.15
+        place = (x, y + (ROBOT_RADIUS + 0.012) * (1 if above else -1))
+        axes.annotate(robot, place, ha="center", va="bottom" if above else "top", fontsize=10, zorder=8)
     plan = _first_plan(log)
     if plan is not None:
         planned = np.frombuffer(plan.path, np.float32).reshape(-1, 3)
         axes.plot(planned[:, 0], planned[:, 1], "--", color="black", linewidth=1.2, zorder=5, label="hider's plan")
-    axes.legend(loc="upper right", fontsize=9, framealpha=0.9)
-    axes.set_xlabel(f"dotted: start; filled: end; a dot every {VIEW_INTERVAL} steps; metres", fontsize=10)
+    axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.10), ncols=3, fontsize=10, frameon=False)
+    axes.set_xlabel(f"metres; dotted disc: start, filled disc: end, a dot every {VIEW_INTERVAL} steps", fontsize=10)
 
 
 def _draw_value_map(axes: Axes, log: EpisodeLog) -> None:
     plan = _first_plan(log)
-    _frame(axes, "The hider's value map: how safe is each goal?", log)
+    _frame(axes, "The hider's value map (blue = safe, red = dangerous)", log)
     if plan is None or not plan.values:
         axes.text(0.6, 0.6, "no plan was recorded", ha="center")
         return
@@ -162,8 +166,8 @@ def _draw_value_map(axes: Axes, log: EpisodeLog) -> None:
     if start is not None:
         axes.add_patch(Circle((start.x, start.y), ROBOT_RADIUS, facecolor=_COLORS["hider"], edgecolor="black", zorder=5))
     bar = axes.figure.colorbar(image, ax=axes, fraction=0.046, pad=0.02)
-    bar.set_label(f"checkpoints (of {checkpoint_count}) at which the hider is expected to be free", fontsize=10)
-    axes.set_xlabel("star: chosen goal; disc: the hider; x: blocked goal; metres", fontsize=10)
+    bar.set_label(f"safety: checkpoints of {checkpoint_count} expected to be reached free", fontsize=10)
+    axes.set_xlabel("metres; star: chosen goal, disc: the hider, x: goal that looks blocked", fontsize=10)
 
 
 def _frame(axes: Axes, title: str, log: EpisodeLog) -> None:
@@ -189,15 +193,13 @@ def _track(poses: dict[int, Pose]) -> NDArray[np.float64]:
 
 def _true_view(log: EpisodeLog, step: int) -> tuple[NDArray[np.uint8] | None, str]:
     """Return the seeker's view at a step (RGB), or its last one where the game was over by then, and a caption."""
-    views = log.views["seeker"]
-    if not views:
+    shown = min(step, log.steps)
+    pose, depth, color = (held["seeker"].get(shown) for held in (log.poses, log.depths, log.colors))
+    if pose is None or depth is None or color is None:
         return None, ""
-    shown = min(step, max(views))
-    if shown not in views:
-        return None, ""
-    image = PALETTE[np.frombuffer(views[shown].data, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)]
+    image = PALETTE[perceive(depth, color, pose, "seeker").image]
     caught = log.episode.caught_step is not None and step >= log.episode.caught_step
-    return image, f"caught at {log.episode.caught_step}" if caught else "free"
+    return image, f"step {shown}: caught" if caught else f"step {shown}: free"
 
 
 def _views_of(request: PredictRequest, reply: PredictReply) -> dict[int, tuple[NDArray[np.uint8], float]]:
