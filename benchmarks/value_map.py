@@ -112,7 +112,7 @@ def main(settings: Settings) -> int:
         distinct.append(reply.distinct)
     took, took_plainly = float(np.median(ours)), float(np.median(plain))
     pairs = request.path_count * len(request.horizons)
-    print(f"{networks.device}, {networks.precision}, {torch.get_num_threads()} threads, {networks.hash or 'untrained'}")
+    print(f"{networks.device}, {networks.precision}, {networks.threads} threads, {networks.hash or 'untrained'}")
     horizons = f"{len(request.horizons)} horizons (T = {settings.steps}, N = {settings.interval})"
     print(f"value map, {request.path_count} goals x {horizons}; {np.mean(distinct):.0f} of {pairs} pairs are distinct")
     print(f"  ours        {took:6.3f} s  median of {settings.rounds}, worst {max(ours):.3f} s")

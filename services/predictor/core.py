@@ -24,14 +24,14 @@ class PredictorSettings:
 
     weights: Path = Path(__file__).resolve().parents[2] / "weights"
     """Folder with vpt-tob.safetensors and vpn.safetensors, each with its model card."""
-    batch: int = 32
+    batch: int = 64
     """Images computed at once; between batches the predictor listens."""
     maximum_queries: int = 16_384
     """Requests with more (path, horizon) pairs are refused."""
     maximum_waiting: int = 64
     """Requests beyond so many waiting ones are refused."""
     threads: int = 0
-    """CPU threads of the networks; 0 = all cores."""
+    """CPU threads that compute; 0 = one for each core."""
 
 
 _ONE_STEP: dict[str, Any] = {"path_count": 1, "path_steps": 1, "paths": bytes(8), "horizons": (0,)}
