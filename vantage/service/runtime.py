@@ -1,30 +1,35 @@
-"""What a service is: a pure core that declares what it hears and says, and the runtime that puts it on a bus.
-
-A core has no clock, no bus and no I/O: `step` turns one received event and the time into what is to be sent. The runtime
-decodes at the door, counts what was malformed, lost or unexpected, reports health once a second and stops on SIGTERM.
-"""
+"""The runtime: puts a core on a bus, decodes at the door, counts what is malformed, lost or unexpected, reports health."""
 
 from __future__ import annotations
 
 import logging
 import os
-import signal
-import sys
 import time
-from collections import OrderedDict
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
-from types import FrameType
-from typing import Any, Protocol
+from typing import Any
 
-from schemas import CALLS, TOPICS, Episode, Health, InputHealth, MalformedMessage, Message
-from vantage.bus import Alive, Bus, CannotOpen, InProcessNetwork, Lost, Reply, Request, Sample, VirtualClock
+from schemas import TOPICS, Episode, Health, InputHealth, MalformedMessage, Message
+from vantage.bus import Alive, Bus, InProcessNetwork, Lost, Reply, Request, Sample, VirtualClock
+from vantage.service.core import (
+    SECOND,
+    Answer,
+    Answered,
+    Arrived,
+    Ask,
+    Asked,
+    Changed,
+    Core,
+    Publish,
+    Received,
+    Refuse,
+    Send,
+    Unexpected,
+    Woken,
+)
 
 logger = logging.getLogger("vantage")
 
-SECOND = 1_000_000_000
 HEALTH_PERIOD = SECOND
 STALE_PERIODS = 10
 STALE_MINIMUM = 2.5
@@ -34,197 +39,6 @@ LAST_WORDS = 1.0
 """Seconds that a raw service goes on with what has arrived before it was stopped."""
 MOST_INPUTS = 200
 """Keys that health tells apart; a raw service counts further ones together, as `**`."""
-
-
-@dataclass(frozen=True, slots=True)
-class Declaration:
-    """What a service hears and says. The runtime subscribes and checks by it, deployments are checked by it.
-
-    Attributes:
-        inputs, outputs: short keys of the topic table.
-        calls, serves: keys of the call table.
-        heeds: services whose coming and going the core wants to know (`Changed`).
-        raw: inputs are key expressions, and reach the core undecoded, as `vantage.bus.Sample` (the recorder).
-    """
-
-    name: str
-    inputs: tuple[str, ...] = ()
-    outputs: tuple[str, ...] = ()
-    calls: tuple[str, ...] = ()
-    serves: tuple[str, ...] = ()
-    heeds: tuple[str, ...] = ()
-    raw: bool = False
-
-    def __post_init__(self) -> None:
-        named = self.outputs if self.raw else self.inputs + self.outputs
-        undeclared = [key for key in named if key not in TOPICS] + [key for key in self.calls + self.serves if key not in CALLS]
-        if undeclared:
-            raise ValueError(f"{self.name}: not in the topic or call table: {', '.join(undeclared)}")
-
-
-@dataclass(slots=True)
-class Arrived:
-    """A message came in."""
-
-    key: str
-    message: Message
-
-
-@dataclass(slots=True)
-class Asked:
-    """Somebody calls; answer with `Answer` or `Refuse` carrying the token."""
-
-    key: str
-    request: Message
-    token: int
-
-
-@dataclass(slots=True)
-class Answered:
-    """An `Ask` came back: a reply, or none and the reason."""
-
-    key: str
-    token: int
-    reply: Message | None
-    error: str = ""
-
-
-@dataclass(slots=True)
-class Changed:
-    """A heeded service came or went."""
-
-    service: str
-    alive: bool
-
-
-@dataclass(slots=True)
-class Woken:
-    """The time that `wake_at` named has come."""
-
-
-Received = Arrived | Asked | Answered | Changed | Woken | Sample | Lost
-
-
-@dataclass(slots=True)
-class Publish:
-    key: str
-    message: Message
-
-
-@dataclass(slots=True)
-class Ask:
-    """Call `key`; the `Answered` that follows carries the same token."""
-
-    key: str
-    request: Message
-    timeout: float
-    token: int
-
-
-@dataclass(slots=True)
-class Answer:
-    token: int
-    reply: Message
-
-
-@dataclass(slots=True)
-class Refuse:
-    token: int
-    reason: str
-
-
-Send = Publish | Ask | Answer | Refuse
-
-
-class Unexpected(Exception):
-    """Raised by a core for a well-formed message that makes no sense here: it is counted and set aside."""
-
-
-class CannotStart(Exception):
-    """Raised while a service is made: printed as one line, exit code 1."""
-
-
-class Core(Protocol):
-    """The behaviour of a service, without clock, bus or I/O.
-
-    It may have `trouble`, a text that makes its health degraded while it is not empty, and `close`, called at the end.
-    """
-
-    @property
-    def declaration(self) -> Declaration: ...
-
-    def step(self, received: Received, now: int) -> Sequence[Send]:
-        """React to one event. `now` in ns since the Unix epoch.
-
-        Raises:
-            Unexpected: the message makes no sense here.
-            MalformedMessage: a raw core's own finding; it is counted as the runtime counts its own.
-        """
-        ...
-
-    def wake_at(self) -> int | None:
-        """Return the time (ns) at which the core wants `Woken`, or None."""
-        ...
-
-
-class StepJoin:
-    """Collects the messages of one step until all of `keys` are there, whatever order they come in.
-
-    Different publishers are not ordered among each other: a pose of the next episode may come before the episode itself,
-    so a few early messages are kept.
-    """
-
-    EARLY = 32
-
-    def __init__(self, keys: tuple[str, ...]) -> None:
-        self._keys = keys
-        self._episode = 0
-        self._next_step = 0
-        self._waiting: OrderedDict[tuple[int, int], dict[str, Message]] = OrderedDict()
-
-    @property
-    def episode(self) -> int:
-        """Number of the episode being joined, 0 before the first."""
-        return self._episode
-
-    def begin(self, episode: int) -> tuple[Message, ...] | None:
-        """Turn to an episode. Returns its first step if that is already complete."""
-        self._episode = episode
-        self._next_step = 0
-        for key in [key for key in self._waiting if key[0] < episode]:
-            del self._waiting[key]
-        for key in sorted(key for key in self._waiting if key[0] == episode):
-            complete = self._take(key)
-            if complete is not None:
-                return complete
-        return None
-
-    def add(self, key: str, message: Message) -> tuple[Message, ...] | None:
-        """Add a message; return the step's messages in the order of `keys` once all are there, else None.
-
-        Raises:
-            Unexpected: the message belongs to an earlier episode or step, or came twice.
-        """
-        place = (message.episode, message.step)
-        if message.episode < self._episode or (message.episode == self._episode and message.step < self._next_step):
-            raise Unexpected(f"{key} of episode {message.episode} step {message.step} came late")
-        joined = self._waiting.setdefault(place, {})
-        if key in joined:
-            raise Unexpected(f"{key} of episode {message.episode} step {message.step} came twice")
-        joined[key] = message
-        if message.episode != self._episode or self._episode == 0:
-            if len(self._waiting) > self.EARLY:
-                self._waiting.popitem(last=False)
-            return None
-        return self._take(place)
-
-    def _take(self, place: tuple[int, int]) -> tuple[Message, ...] | None:
-        joined = self._waiting[place]
-        if len(joined) < len(self._keys):
-            return None
-        del self._waiting[place]
-        self._next_step = place[1] + 1
-        return tuple(joined[key] for key in self._keys)
 
 
 @dataclass(slots=True)
@@ -514,51 +328,3 @@ def run_in_process(network: InProcessNetwork, runtimes: Sequence[Runtime], until
             if not due:
                 raise RuntimeError("the services are all idle, and what was waited for has not come")
             clock.now = max(clock.now, min(due))
-
-
-@dataclass(frozen=True)
-class BusSettings:
-    """Where the bus is."""
-
-    folder: Path = Path()
-    """Private folder of the deployment, which holds the sockets."""
-    arena: str = "table"
-    """Name of the arena: all keys stand below vantage/ARENA/."""
-
-
-@contextmanager
-def _stop_on_signal(runtime: Runtime) -> Iterator[None]:
-    def handle(_number: int, _frame: FrameType | None) -> None:
-        runtime.stop()
-
-    previous = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
-    try:
-        yield
-    finally:
-        for number, handler in previous.items():
-            signal.signal(number, handler)
-
-
-def run(make_core: Callable[[], Core], name: str, settings: BusSettings) -> int:
-    """Run one service as a process on Zenoh until SIGTERM. Returns the exit code.
-
-    What is wrong at the start (missing weights, a taken name, an impossible layout) is said in one line.
-    """
-    from vantage.bus.zenoh_bus import ZenohBus  # only a process on a real bus pays for loading Zenoh
-
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
-    with ExitStack() as closing:
-        try:
-            core = make_core()
-            if hasattr(core, "close"):
-                closing.callback(core.close)
-            bus = closing.enter_context(ZenohBus(name, settings.folder, settings.arena))
-        except (CannotStart, CannotOpen, ValueError, OSError) as error:
-            print(f"{name} cannot start: {error}", file=sys.stderr)
-            return 1
-        runtime = Runtime(core, bus)
-        with _stop_on_signal(runtime):
-            logger.info("%s started", name)
-            runtime.run()
-    logger.info("%s stopped", name)
-    return 0

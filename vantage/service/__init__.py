@@ -1,0 +1,51 @@
+"""What a service is: a pure core that declares what it hears and says, and the runtime that puts it on a bus.
+
+A core has no clock, no bus and no I/O: `step` turns one received event and the time into what is to be sent. The runtime
+decodes at the door, counts what was malformed, lost or unexpected, reports health once a second and stops on SIGTERM.
+"""
+
+from vantage.service.core import (
+    SECOND,
+    Answer,
+    Answered,
+    Arrived,
+    Ask,
+    Asked,
+    CannotStart,
+    Changed,
+    Core,
+    Declaration,
+    Publish,
+    Received,
+    Refuse,
+    Send,
+    Unexpected,
+    Woken,
+)
+from vantage.service.join import StepJoin
+from vantage.service.process import BusSettings, run
+from vantage.service.runtime import Runtime, run_in_process
+
+__all__ = [
+    "SECOND",
+    "Answer",
+    "Answered",
+    "Arrived",
+    "Ask",
+    "Asked",
+    "BusSettings",
+    "CannotStart",
+    "Changed",
+    "Core",
+    "Declaration",
+    "Publish",
+    "Received",
+    "Refuse",
+    "Runtime",
+    "Send",
+    "StepJoin",
+    "Unexpected",
+    "Woken",
+    "run",
+    "run_in_process",
+]

@@ -1,0 +1,143 @@
+"""A core: what a service hears and says, and the events and messages that pass between it and the runtime."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+from schemas import CALLS, TOPICS, Message
+from vantage.bus import Lost, Sample
+
+SECOND = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class Declaration:
+    """What a service hears and says. The runtime subscribes and checks by it, deployments are checked by it.
+
+    Attributes:
+        inputs, outputs: short keys of the topic table.
+        calls, serves: keys of the call table.
+        heeds: services whose coming and going the core wants to know (`Changed`).
+        raw: inputs are key expressions, and reach the core undecoded, as `vantage.bus.Sample` (the recorder).
+    """
+
+    name: str
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+    calls: tuple[str, ...] = ()
+    serves: tuple[str, ...] = ()
+    heeds: tuple[str, ...] = ()
+    raw: bool = False
+
+    def __post_init__(self) -> None:
+        named = self.outputs if self.raw else self.inputs + self.outputs
+        undeclared = [key for key in named if key not in TOPICS] + [key for key in self.calls + self.serves if key not in CALLS]
+        if undeclared:
+            raise ValueError(f"{self.name}: not in the topic or call table: {', '.join(undeclared)}")
+
+
+@dataclass(slots=True)
+class Arrived:
+    """A message came in."""
+
+    key: str
+    message: Message
+
+
+@dataclass(slots=True)
+class Asked:
+    """Somebody calls; answer with `Answer` or `Refuse` carrying the token."""
+
+    key: str
+    request: Message
+    token: int
+
+
+@dataclass(slots=True)
+class Answered:
+    """An `Ask` came back: a reply, or none and the reason."""
+
+    key: str
+    token: int
+    reply: Message | None
+    error: str = ""
+
+
+@dataclass(slots=True)
+class Changed:
+    """A heeded service came or went."""
+
+    service: str
+    alive: bool
+
+
+@dataclass(slots=True)
+class Woken:
+    """The time that `wake_at` named has come."""
+
+
+Received = Arrived | Asked | Answered | Changed | Woken | Sample | Lost
+
+
+@dataclass(slots=True)
+class Publish:
+    key: str
+    message: Message
+
+
+@dataclass(slots=True)
+class Ask:
+    """Call `key`; the `Answered` that follows carries the same token."""
+
+    key: str
+    request: Message
+    timeout: float
+    token: int
+
+
+@dataclass(slots=True)
+class Answer:
+    token: int
+    reply: Message
+
+
+@dataclass(slots=True)
+class Refuse:
+    token: int
+    reason: str
+
+
+Send = Publish | Ask | Answer | Refuse
+
+
+class Unexpected(Exception):
+    """Raised by a core for a well-formed message that makes no sense here: it is counted and set aside."""
+
+
+class CannotStart(Exception):
+    """Raised while a service is made: printed as one line, exit code 1."""
+
+
+class Core(Protocol):
+    """The behaviour of a service, without clock, bus or I/O.
+
+    It may have `trouble`, a text that makes its health degraded while it is not empty, and `close`, called at the end.
+    """
+
+    @property
+    def declaration(self) -> Declaration: ...
+
+    def step(self, received: Received, now: int) -> Sequence[Send]:
+        """React to one event. `now` in ns since the Unix epoch.
+
+        Raises:
+            Unexpected: the message makes no sense here.
+            MalformedMessage: a raw core's own finding; it is counted as the runtime counts its own.
+        """
+        ...
+
+    def wake_at(self) -> int | None:
+        """Return the time (ns) at which the core wants `Woken`, or None."""
+        ...

@@ -1,0 +1,66 @@
+"""One service as a process on Zenoh."""
+
+from __future__ import annotations
+
+import logging
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+
+from vantage.bus import CannotOpen
+from vantage.service.core import CannotStart, Core
+from vantage.service.runtime import Runtime
+
+logger = logging.getLogger("vantage")
+
+
+@dataclass(frozen=True)
+class BusSettings:
+    """Where the bus is."""
+
+    folder: Path = Path()
+    """Private folder of the deployment, which holds the sockets."""
+    arena: str = "table"
+    """Name of the arena: all keys stand below vantage/ARENA/."""
+
+
+@contextmanager
+def _stop_on_signal(runtime: Runtime) -> Iterator[None]:
+    def handle(_number: int, _frame: FrameType | None) -> None:
+        runtime.stop()
+
+    previous = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+def run(make_core: Callable[[], Core], name: str, settings: BusSettings) -> int:
+    """Run one service as a process on Zenoh until SIGTERM. Returns the exit code.
+
+    What is wrong at the start (missing weights, a taken name, an impossible layout) is said in one line.
+    """
+    from vantage.bus.zenoh_bus import ZenohBus  # only a process on a real bus pays for loading Zenoh
+
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
+    with ExitStack() as closing:
+        try:
+            core = make_core()
+            if hasattr(core, "close"):
+                closing.callback(core.close)
+            bus = closing.enter_context(ZenohBus(name, settings.folder, settings.arena))
+        except (CannotStart, CannotOpen, ValueError, OSError) as error:
+            print(f"{name} cannot start: {error}", file=sys.stderr)
+            return 1
+        runtime = Runtime(core, bus)
+        with _stop_on_signal(runtime):
+            logger.info("%s started", name)
+            runtime.run()
+    logger.info("%s stopped", name)
+    return 0
