@@ -1,0 +1,74 @@
+"""The demo's picture is drawn from a log alone."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from learning.collect import CollectSettings, play_block
+from learning.demo import views_request
+from learning.picture import draw, read_game
+from schemas import Plan, PredictReply, PredictRequest, Rules, StateImage, encode
+from vantage.log import LogWriter, read
+
+
+def game_with_predictions(folder: Path) -> Path:
+    """A real game's log, with a question for predicted views and an answer of plain colours behind it."""
+    played, path = folder / "played.mcap", folder / "game.mcap"
+    settings = CollectSettings(episodes=1, hider="goal-walk", to=folder, views=True, rules=Rules(maximum_steps=60))
+    play_block(settings, range(3, 4), (), played)
+    records = list(read(played))
+    decoded = [record.decode() for record in records]
+    view = next(message for message in decoded if isinstance(message, StateImage))
+    plan = next(message for message in decoded if isinstance(message, Plan))
+    request = views_request(view, plan)
+    assert request.horizons == (19, 39, 59)
+    reply = PredictReply(
+        stamp=1,
+        caught=np.array([0.1, 0.5, 0.9], np.float32).tobytes(),
+        views=tuple(bytes([shade] * 128 * 128 * 3) for shade in (10, 120, 230)),
+    )
+    with LogWriter(path, {}, sync=False) as writer:
+        for record in records:
+            writer.write(
+                record.key,
+                record.payload,
+                log_time=record.log_time,
+                publish_time=record.publish_time,
+                sequence=record.sequence,
+                publisher=record.publisher,
+            )
+        for number, (key, message) in enumerate((("predictor/request", request), ("predictor/reply", reply))):
+            time = records[-1].log_time + 1 + number
+            writer.write(key, encode(message), log_time=time, publish_time=time, sequence=0, publisher="predictor")
+    return path
+
+
+def test_the_game_is_read_with_its_predicted_views(tmp_path: Path) -> None:
+    game = read_game(game_with_predictions(tmp_path))
+    assert sorted(game.predicted) == [19, 39, 59]
+    assert [round(caught, 1) for _, caught in game.predicted.values()] == [0.1, 0.5, 0.9]
+    assert [int(view[0, 0, 0]) for view, _ in game.predicted.values()] == [10, 120, 230]
+
+
+def test_the_picture_shows_something(tmp_path: Path) -> None:
+    draw(read_game(game_with_predictions(tmp_path)), tmp_path / "picture.png")
+    picture = imread(tmp_path / "picture.png")
+    assert picture.shape[:2] == (1240, 1300)
+    assert (picture[..., :3] < 0.99).any(axis=2).mean() > 0.2
+
+
+def test_a_log_without_a_game_is_a_clear_error(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "empty.mcap", {}, sync=False):
+        pass
+    with pytest.raises(ValueError, match="holds no game"):
+        read_game(tmp_path / "empty.mcap")
+
+
+def test_the_question_for_views_stays_inside_the_plan() -> None:
+    view = StateImage(stamp=1, data=bytes(128 * 128))
+    plan = Plan(stamp=1, horizon=7, path=np.zeros((8, 3), np.float32).tobytes())
+    request = views_request(view, plan)
+    assert isinstance(request, PredictRequest)
+    assert request.horizons == (6,) and request.path_steps == 7
