@@ -32,7 +32,7 @@ Counts = Mapping[tuple[str, str], int]
 @contextmanager
 def stranger(table: Table) -> Iterator[zenoh.Session]:
     """A raw Zenoh session on the deployment's sockets: no name, no stamps, none of our code."""
-    config = zenoh.Config.from_json5(json.dumps(configuration("stranger", table.folder)))
+    config = zenoh.Config.from_json5(json.dumps(configuration("stranger", table.folder, frozenset(table.services()))))
     # It waits for slow readers, so that every message must be counted.
     config.insert_json5("transport/link/tx/queue/congestion_control/block/wait_before_close", "60000000")
     with zenoh.open(config) as session:

@@ -63,8 +63,9 @@ def test_logs_shows_what_a_service_printed(table: Table) -> None:
 def test_a_fault_in_mid_game_heals(table: Table, fault: str, service: str) -> None:
     with HealthWatch(table.deployment) as watch, ZenohBus("command-line", table.folder) as bus:
         table.wait_until_healthy(watch, 20.0)
-        match = Match(bus, wish(seed=11, games=2, steps=400, period=0.05))
-        follow(match, lambda: match.step >= 25, 30.0, "the game gets to step 25")
+        # Short horizons are planned quickly: six checkpoints instead of the paper's ten.
+        match = Match(bus, wish(seed=11, games=10, steps=60, period=0.1))
+        follow(match, lambda: match.step >= 10, 30.0, "the game gets to step 10")
         assert match.current is not None
         pid = table.pid_of(service)
         hurt = time.time()
@@ -82,14 +83,11 @@ def test_a_fault_in_mid_game_heals(table: Table, fault: str, service: str) -> No
         table.wait_until_healthy(watch, 5.0, replaced=pid if fault == "kill -9" else 0)
 
         def goes_on() -> bool:
-            """The same game at a later step, or another game past its first step."""
+            """The same game at a later step, or another game under way."""
             current = match.current
-            if current is None:
-                return False
-            return match.step > before[1] + 5 if current.episode == before[0] else match.step >= 1
+            return current is not None and match.step > (before[1] if current.episode == before[0] else 0)
 
         follow(match, goes_on, 20.0, "the game goes on, or a new one runs")
-        assert all(game.episode.phase == "aborted" for game in match.games), "games of 400 steps do not end by themselves here"
     stop_games(table.folder)
     assert newest_before(table, hurt) > hurt - FLUSH_PERIOD
 
