@@ -56,7 +56,9 @@ def test_the_picture_shows_something(tmp_path: Path) -> None:
     draw(read_game(game_with_predictions(tmp_path)), tmp_path / "picture.png")
     picture = imread(tmp_path / "picture.png")
     assert picture.shape[:2] == (1240, 1300)
-    assert (picture[..., :3] < 0.99).any(axis=2).mean() > 0.2
+    assert (picture[..., :3] < 0.99).any(axis=2).mean() > 0.1
+    for shade in (10, 120, 230):
+        assert (np.abs(picture[..., :3] - shade / 255) < 1e-3).all(axis=2).sum() > 5000, "each predicted view is there"
 
 
 def test_a_log_without_a_game_is_a_clear_error(tmp_path: Path) -> None:
