@@ -11,7 +11,7 @@ import msgspec
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from schemas import Control, Episode, MalformedMessage, Message, Plan, Players, Rules, Tick
+from schemas import TOPICS, Control, Episode, MalformedMessage, Message, Plan, Players, Rules, Tick
 from vantage.bus import Alive, Bus, Event, Sample
 from vantage.deployment import Deployment, DeploymentError
 
@@ -126,7 +126,7 @@ class Match:
                 self._finish(msgspec.structs.replace(self.current, phase="aborted", step=self.step, reason="the referee died"))
             # The next referee knows nothing of our wish.
             self._ask_at = time.monotonic() + 1.0
-        if not isinstance(event, Sample):
+        if not isinstance(event, Sample) or event.publisher not in TOPICS[event.key].publishers:
             return
         try:
             message: Message = event.decode()
