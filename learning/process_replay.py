@@ -1,11 +1,13 @@
 """Process replay: a recorded log, fed to one service alone, must give the recorded outputs (after openpilot).
 
-Stamps of the clock and times taken differ from run to run and are left out of the comparison, nothing else.
+Stamps of the clock and times taken differ from run to run and are left out of the comparison, nothing else. The clock itself is
+no input that a log could hold: where a core waits for a time, it is woken when the log says that it spoke.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import heapq
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,9 +19,11 @@ from services.planner.core import PlannerCore, PlannerSettings
 from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore
 from vantage.log.reader import Record, read
-from vantage.service import Answered, Arrived, Ask, Changed, Core, Publish, Received, Unexpected, Woken
+from vantage.service import SECOND, Answered, Arrived, Ask, Changed, Core, Publish, Received, Unexpected, Woken
 
 CLOCK_FIELDS = ("stamp", "elapsed")
+LATEST = 10 * SECOND
+"""No message takes longer than this to the recorder."""
 
 
 @dataclass
@@ -69,15 +73,15 @@ class ProcessReplay:
             self._step(Changed(service, True), 0)
 
     def feed(self, record: Record) -> None:
-        """Take one record of the log, in order of time."""
+        """Take one record of the log, in the order in which they were published."""
         try:
             message = record.decode()
         except MalformedMessage:
             return
-        now = record.log_time
-        self._wake_until(now)
+        now = record.publish_time
         if record.key in self.recorded:
             self.recorded[record.key].append(message)
+            self._wake_until_said(record.key, now)
         if isinstance(message, PredictRequest):
             self._request = without_clock(message)
         elif isinstance(message, PredictReply) and self._request is not None:
@@ -86,12 +90,12 @@ class ProcessReplay:
         if record.key in self._inputs:
             self._step(Arrived(record.key, message), now)
 
-    def _wake_until(self, now: int) -> None:
+    def _wake_until_said(self, key: str, now: int) -> None:
         for _ in range(4):
             wake = self._core.wake_at()
-            if wake is None or wake > now:
+            if wake is None or len(self.said[key]) >= len(self.recorded[key]):
                 return
-            self._step(Woken(), max(wake, 0))
+            self._step(Woken(), max(wake, now))
 
     def _step(self, received: Received, now: int) -> None:
         try:
@@ -132,6 +136,17 @@ def _compare(key: str, said: Sequence[Message], recorded: Sequence[Message]) -> 
     return comparison
 
 
+def in_order_of_publishing(records: Iterable[Record]) -> Iterator[Record]:
+    """Yield the records of a log by the publishers' clock, which is one clock: a log has them in the order of their arrival."""
+    waiting: list[tuple[int, int, Record]] = []
+    for number, record in enumerate(records):
+        heapq.heappush(waiting, (record.publish_time, number, record))
+        while waiting[0][0] < record.log_time - LATEST:
+            yield heapq.heappop(waiting)[2]
+    while waiting:
+        yield heapq.heappop(waiting)[2]
+
+
 def replay_service(path: Path, service: str) -> list[Comparison]:
     """Replay a log through one service.
 
@@ -139,6 +154,6 @@ def replay_service(path: Path, service: str) -> list[Comparison]:
         KeyError: the service cannot be replayed.
     """
     replay = ProcessReplay(replayable()[service]())
-    for record in read(path):
+    for record in in_order_of_publishing(read(path)):
         replay.feed(record)
     return replay.compare()
