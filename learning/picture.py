@@ -97,7 +97,7 @@ def draw(game: Game, path: Path) -> None:
         if step in game.predicted:
             view, caught = game.predicted[step]
             top.imshow(view, interpolation="nearest")
-            top.set_title(f"step {step + 1}: caught by then {caught:.0%}", fontsize=10)
+            top.set_title(f"step {step}: caught by then {caught:.0%}", fontsize=10)
         true, when = _true_view(log, step)
         if true is not None:
             bottom.imshow(true, interpolation="nearest")
