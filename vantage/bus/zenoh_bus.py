@@ -23,8 +23,9 @@ from zenoh import ext
 from zenoh.handlers import Callback
 
 from schemas import CALLS, TOPICS, Call, Message, Topic, encode
+from vantage.bus.allocator import keep_freed_memory
 from vantage.bus.interface import Bus, CannotOpen, Event, wrong_type
-from vantage.bus.zenoh_events import Asked, Item, LivelinessChange, Pending, encoding_of, pack
+from vantage.bus.zenoh_events import NUMBERS, Asked, Item, LivelinessChange, Pending, encoding_of, pack
 from vantage.bus.zenoh_readers import Lossless, Newest, Reader, Strangers
 from vantage.bus.zenoh_session import open_session
 
@@ -34,6 +35,9 @@ HEARTBEAT = 0.2
 
 CLOSE_TIME = 1.0
 """Seconds that closing may take."""
+
+
+_pack_numbers = NUMBERS.pack
 
 
 class _Writer:
@@ -69,24 +73,26 @@ class ZenohBus(Bus):
     ) -> None:
         super().__init__(name, arena, topics, calls)
         self.prefix = f"vantage/{arena}/"
-        self._inbox: queue.SimpleQueue[Item | None] = queue.SimpleQueue()
+        self._inbox: queue.SimpleQueue[Item | zenoh.Sample | None] = queue.SimpleQueue()
         self.put = self._inbox.put
+        self._get = self._inbox.get
         self._writers: dict[str, _Writer] = {}
         self._reading: set[str] = set()
+        self._direct: dict[str, Lossless] = {}  # who reads the bare samples on the queue, by their whole key
         self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
         self._origin = time.time_ns().to_bytes(8, "little") + name.encode()
         self._ready: deque[Event] = deque()
         self._timers: list[tuple[float, int, Item]] = []
         self._timer_numbers = itertools.count()
-        self._last_published = 0
+        self._published = 0
         self._calls_made = 0
         self._requests_made = 0
         self._announced = False
         self._watching = False
         self._process = os.getpid()
-        known = {publisher for topic in topics.values() for publisher in topic.publishers} | {
-            call.server for call in calls.values()
-        }
+        publishers = {publisher for topic in topics.values() for publisher in topic.publishers}
+        known = publishers | {call.server for call in calls.values()}
+        keep_freed_memory()
         self._session: zenoh.Session | None = open_session(name, folder, frozenset(known))
         _open_buses.add(self)
 
@@ -99,9 +105,11 @@ class ZenohBus(Bus):
         if type(message) is not writer.kind:
             raise wrong_type(writer.topic, message)
         payload = encode(message)
+        # Times are unique and increase, even where the clock does not.
+        self._published = now = max(time.time_ns(), self._published + 1)
         sequence = writer.sequence
         writer.sequence += 1
-        writer.put(payload, attachment=pack(sequence, self._now(), self._origin))
+        writer.put(payload, attachment=_pack_numbers(sequence, now) + self._origin)
 
     def _writer(self, key: str) -> _Writer:
         topic = self._topic_to_publish(key)
@@ -114,10 +122,6 @@ class ZenohBus(Bus):
         if not self._announced:
             self._announced = True
             self._kept.append(self._opened().liveliness().declare_token(self._alive_prefix + self.name))
-
-    def _now(self) -> int:
-        self._last_published = max(time.time_ns(), self._last_published + 1)
-        return self._last_published
 
     def subscribe(self, *expressions: str, raw: bool = False) -> None:
         session = self._opened()
@@ -132,32 +136,48 @@ class ZenohBus(Bus):
     def _subscribe(self, session: zenoh.Session, topic: Topic, raw: bool) -> None:
         reader: Reader
         if topic.delivery == "lossless":
-            reader = Lossless(
-                self.put, self._later, self.prefix, topic, max(topic.cache, topic.history) if raw else topic.history
-            )
+            reader = Lossless(self.put, self._later, self.prefix, topic, raw)
+            self._direct[self.prefix + topic.key] = reader
         else:
             reader = Reader(self.put, self.prefix, topic) if raw else Newest(self.put, self.prefix, topic)
         self._kept += reader.declare(session)
 
     def receive(self, timeout: float) -> Event | None:
-        self._opened()
-        self._announce()
+        if not self._announced:
+            self._announce()
+        ready = self._ready
         end = time.monotonic() + timeout
-        while not self._ready:
-            if self._timers and self._timers[0][0] <= time.monotonic():
-                heapq.heappop(self._timers)[2].handle(self._ready)
-                continue
-            until = min(end, self._timers[0][0]) if self._timers else end
+        wait = timeout
+        while not ready:
+            if self._timers:
+                wait = min(wait, self._handle_timers())
             try:
-                item = self._inbox.get(timeout=max(0.0, until - time.monotonic())) if timeout > 0 else self._inbox.get_nowait()
+                item = self._get(wait > 0, wait)
             except queue.Empty:
-                if until < end:
+                wait = end - time.monotonic()
+                if wait > 0:
                     continue
                 return None
-            if item is None:
+            if type(item) is zenoh.Sample:
+                reader = self._direct[str(item.key_expr)]
+                event = reader.next_event(item)
+                if event is not None:
+                    return event
+                reader.read(item, ready)
+            elif item is None:
                 return None
-            item.handle(self._ready)
-        return self._ready.popleft()
+            else:
+                item.handle(ready)
+            wait = max(0.0, end - time.monotonic())
+        return ready.popleft()
+
+    def _handle_timers(self) -> float:
+        """Handle what is due; return the seconds until the next is."""
+        while self._timers and self._timers[0][0] <= time.monotonic():
+            heapq.heappop(self._timers)[2].handle(self._ready)
+        if self._ready or not self._timers:
+            return 0.0
+        return self._timers[0][0] - time.monotonic()
 
     def _later(self, seconds: float, item: Item) -> None:
         heapq.heappush(self._timers, (time.monotonic() + seconds, next(self._timer_numbers), item))
@@ -174,7 +194,7 @@ class ZenohBus(Bus):
             congestion_control=zenoh.CongestionControl.BLOCK,
             payload=encode(request),
             encoding=encoding_of(call.request),
-            attachment=pack(pending.token, self._now(), self._origin),
+            attachment=pack(pending.token, time.time_ns(), self._origin),
         )
         return pending.token
 
@@ -209,6 +229,7 @@ class ZenohBus(Bus):
 
     def close(self) -> None:
         session, self._session = self._session, None
+        self._announced = False
         _open_buses.discard(self)
         # A forked child holds a copy of the session without its threads: closing that would wait for ever.
         if session is None or os.getpid() != self._process:

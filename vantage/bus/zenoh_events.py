@@ -16,7 +16,11 @@ import zenoh
 from schemas import Call, Message
 from vantage.bus.interface import NAME_LIMIT, Alive, Event, Reply, Request
 
-_NUMBERS = struct.Struct("<QQ")  # sequence, time of publishing; the origin follows
+NUMBERS = struct.Struct("<QQ")
+"""Sequence and time of publishing, at the head of an attachment; the origin follows."""
+
+ORIGIN = NUMBERS.size
+
 _REFUSAL = zenoh.Encoding("text/plain").with_schema("vantage.Refusal")
 
 
@@ -45,16 +49,16 @@ class Stamp:
 
 def pack(sequence: int, published: int, origin: bytes) -> bytes:
     """Return the attachment of a message."""
-    return _NUMBERS.pack(sequence, published) + origin
+    return NUMBERS.pack(sequence, published) + origin
 
 
 def unpack(attachment: zenoh.ZBytes | None) -> Stamp | None:
     """Return the stamp of a message; None when it is a stranger's."""
     data = attachment.to_bytes() if attachment is not None else b""
-    if not _NUMBERS.size + 8 < len(data) <= _NUMBERS.size + 8 + NAME_LIMIT:
+    if not ORIGIN + 8 < len(data) <= ORIGIN + 8 + NAME_LIMIT:
         return None
-    sequence, published = _NUMBERS.unpack_from(data)
-    origin = data[_NUMBERS.size :]
+    sequence, published = NUMBERS.unpack_from(data)
+    origin = data[ORIGIN:]
     if sequence >= 2**63 or published >= 2**63 or not origin[8:].isascii():
         return None
     return Stamp(sequence, published, origin)
@@ -71,7 +75,7 @@ class Item(Protocol):
     def handle(self, ready: deque[Event]) -> None: ...
 
 
-Put = Callable[[Item | None], None]
+Put = Callable[[Item | zenoh.Sample | None], None]
 
 
 class Asked:

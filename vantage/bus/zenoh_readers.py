@@ -15,10 +15,10 @@ from zenoh.handlers import Callback
 from schemas import Topic
 from vantage.bus.interface import Event, Lost, Sample
 from vantage.bus.stream import Missing, Stream
-from vantage.bus.zenoh_events import Item, Put, Stamp, unpack
+from vantage.bus.zenoh_events import NUMBERS, ORIGIN, Item, Put, Stamp, unpack
 
 QUEUE_LIMIT = 128 * 2**20
-"""Bytes of one topic that may wait unread in a session; what comes beyond is dropped, and a lossless topic fetches it later."""
+"""Bytes of one topic that may wait unread in a raw session; more is dropped (and of a lossless topic fetched later)."""
 
 ANSWER_TIME = 2.0
 """Seconds that a publisher's cache has to answer."""
@@ -28,6 +28,9 @@ PATIENCE = 10.0
 
 HELD_LIMIT = 1024
 """Messages of a lossless topic that wait for missing ones (or as many as the topic's cache holds)."""
+
+
+_unpack_numbers = NUMBERS.unpack_from
 
 
 class Reader:
@@ -51,14 +54,17 @@ class Reader:
         size = len(sample.payload)
         if self._arrived - self._read + size <= QUEUE_LIMIT:
             self._arrived += size
-            self.put(Arrival(self, sample))
+            self.put(Arrival(self, sample, size))
+
+    def taken(self, size: int) -> None:
+        """Take note that so many bytes wait no more."""
+        self._read += size
 
     def read(self, sample: zenoh.Sample, ready: deque[Event]) -> None:
         ready.append(self.event(sample, unpack(sample.attachment)))
 
     def event(self, sample: zenoh.Sample, stamp: Stamp | None) -> Sample:
         payload = sample.payload.to_bytes()
-        self._read += len(payload)
         key = self.topic.key if self.topic else str(sample.key_expr).removeprefix(self.prefix)
         kind = self.topic.type if self.topic else None
         if stamp is None:
@@ -67,13 +73,15 @@ class Reader:
 
 
 class Arrival:
-    __slots__ = ("reader", "sample")
+    __slots__ = ("reader", "sample", "size")
 
-    def __init__(self, reader: Reader, sample: zenoh.Sample) -> None:
+    def __init__(self, reader: Reader, sample: zenoh.Sample, size: int) -> None:
         self.reader = reader
         self.sample = sample
+        self.size = size
 
     def handle(self, ready: deque[Event]) -> None:
+        self.reader.taken(self.size)
         self.reader.read(self.sample, ready)
 
 
@@ -137,12 +145,16 @@ class Lossless(Reader):
     with its last sequence number, and a cache that answers `_max=<count>` and `_sn=<first>..`.
     """
 
-    def __init__(self, put: Put, later: Later, prefix: str, topic: Topic, history: int) -> None:
+    def __init__(self, put: Put, later: Later, prefix: str, topic: Topic, raw: bool) -> None:
         super().__init__(put, prefix, topic)
         self._later = later
         self._key = prefix + topic.key
+        self._short_key = topic.key
+        self._kind = topic.type
         self._topic = topic
-        self._history = history
+        self._history = max(topic.cache, topic.history) if raw else topic.history
+        # Zenoh's thread queues the bare sample, if it need not look at it: not a line of Python runs there.
+        self._callback = self.arrived if raw else put
         self._since = time.time_ns()
         self._by_identity: dict[str, _Source] = {}
         self._by_origin: dict[bytes, _Source] = {}
@@ -152,7 +164,7 @@ class Lossless(Reader):
         self._session = session
         about = f"{self._key}/@adv/pub/**"
         return [
-            session.declare_subscriber(self._key, Callback(self.arrived, indirect=False)),
+            session.declare_subscriber(self._key, Callback(self._callback, indirect=False)),
             session.declare_subscriber(about, Callback(self.heard, indirect=False)),
             session.liveliness().declare_subscriber(about, Callback(self.noticed, indirect=False), history=True),
         ]
@@ -162,6 +174,20 @@ class Lossless(Reader):
 
     def noticed(self, token: zenoh.Sample) -> None:
         self.put(_Token(self, token))
+
+    def next_event(self, sample: zenoh.Sample) -> Sample | None:
+        """Return the event of a message that comes as expected; else None, and `read` must have it. The short way of `read`."""
+        attachment = sample.attachment
+        if attachment is not None:
+            data = attachment.to_bytes()
+            source = self._by_origin.get(data[ORIGIN:])
+            if source is not None:
+                sequence, published = NUMBERS.unpack_from(data)
+                if source.stream.follows(sequence):
+                    return Sample(
+                        self._topic.key, sample.payload.to_bytes(), source.publisher, sequence, published, self._topic.type
+                    )
+        return None
 
     def read(self, sample: zenoh.Sample, ready: deque[Event]) -> None:
         stamp = unpack(sample.attachment)
