@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import random
 import signal
@@ -16,9 +17,11 @@ import zenoh
 from bus_network import PATIENCE, Zenoh
 from bus_tables import CALLS, TOPICS, pose, question
 
+from schemas import TOPICS as SCHEMA_TOPICS
 from schemas import ColorImage, Intrinsics, MalformedMessage
 from vantage.bus import Alive, Bus, CannotOpen, Event, Reply, Request, Sample
 from vantage.bus.zenoh_bus import ZenohBus
+from vantage.bus.zenoh_session import connections
 
 
 def publish_at(bus: Bus, key: str, count: int, rate: float, start: int = 0) -> float:
@@ -273,6 +276,13 @@ def test_nothing_listens_outside_the_folder(zenoh_network: Zenoh) -> None:
     sockets = {connection.laddr for connection in process.net_connections("unix") if connection.laddr}
     assert sockets == {str(zenoh_network.folder / "recorder.sock")}
     assert zenoh_network.folder.stat().st_mode & 0o777 == 0o700
+
+
+def test_of_each_two_exactly_one_connects_to_the_other(place: Path) -> None:
+    known = frozenset(name for topic in SCHEMA_TOPICS.values() for name in topic.publishers)
+    endpoints = {name: set(connections(name, place, known)) for name in (*known, "watch-1")}
+    for one, other in itertools.combinations(endpoints, 2):
+        assert (one in endpoints[other]) != (other in endpoints[one])
 
 
 def test_stale_socket_of_a_killed_process_takes_no_name(zenoh_network: Zenoh) -> None:

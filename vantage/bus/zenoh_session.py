@@ -26,7 +26,7 @@ def open_session(name: str, folder: Path, known: frozenset[str]) -> zenoh.Sessio
     """Open a participant's session on the sockets in `folder`, which is made (mode 0700) when it does not exist.
 
     Args:
-        known: who may publish or serve, by the tables; see `_connections`.
+        known: who may publish or serve, by the tables; see `connections`.
 
     Raises:
         NameInUse: a living process holds the socket of that name.
@@ -49,7 +49,7 @@ def configuration(name: str, folder: Path, known: frozenset[str]) -> dict[str, o
         "mode": "peer",
         "listen": {"endpoints": [_endpoint(name, folder)], "exit_on_failure": True},
         "connect": {
-            "endpoints": [_endpoint(other, folder) for other in _connections(name, folder, known)],
+            "endpoints": [_endpoint(other, folder) for other in connections(name, folder, known)],
             "exit_on_failure": False,
             "retry": {"period_init_ms": 100, "period_max_ms": 250, "period_increase_factor": 1.5},
         },
@@ -78,7 +78,7 @@ def configuration(name: str, folder: Path, known: frozenset[str]) -> dict[str, o
     }
 
 
-def _connections(name: str, folder: Path, known: frozenset[str]) -> list[str]:
+def connections(name: str, folder: Path, known: frozenset[str]) -> list[str]:
     """Return to whom a participant connects, for as long as it lives: of each two, always the same one connects to the other.
 
     If both did (as with gossip, or fixed hubs), one may come back over a new connection while the other still holds the old one
