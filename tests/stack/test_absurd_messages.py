@@ -76,7 +76,7 @@ def counted(table: Table) -> Counts:
     }
 
 
-def barrage(table: Table, randoms: int, shapes: int, questions: int) -> float:
+def barrage(table: Table, randoms: int, shapes: int, questions: int, patience: float = 60.0) -> float:
     """Say `randoms` random and `shapes` schema-shaped messages on every key while games run; return the seconds it took."""
     source = random.Random(7)
     pids = {process.name: process.pid for process in table.deployment.processes()}
@@ -96,7 +96,7 @@ def barrage(table: Table, randoms: int, shapes: int, questions: int) -> float:
             sent[key] = ask(session, (random_bytes(source) for _ in range(questions)))
             sent[key] += ask(session, (shaped(call.request, source) for _ in range(questions)))
     expected = [(name, key) for name in table.services() for key in heard_by(name) if key in sent]
-    deadline = time.monotonic() + 60
+    deadline = time.monotonic() + patience
     while missing := uncounted(before, counted(table), sent, expected):
         assert time.monotonic() < deadline, f"not counted in health: {missing}"
     assert {process.name: process.pid for process in table.deployment.processes()} == pids, "a service died"
@@ -134,6 +134,6 @@ def test_games_go_on_afterwards(table: Table) -> None:
 
 if __name__ == "__main__":
     with Table() as running:
-        seconds = barrage(running, int(sys.argv[1]), int(sys.argv[2]), questions=1000)
+        seconds = barrage(running, int(sys.argv[1]), int(sys.argv[2]), questions=1000, patience=600.0)
         print(f"{len(KEYS)} keys, {sys.argv[1]} random and {sys.argv[2]} shaped messages each: no service died, {seconds:.0f} s")
         test_games_go_on_afterwards(running)
