@@ -7,7 +7,7 @@ from itertools import permutations
 import pytest
 
 from schemas import Command, Episode, Health, Pose, PredictReply, PredictRequest, Tick
-from vantage.bus import InProcessNetwork, Sample, VirtualClock
+from vantage.bus import InProcessNetwork, Lost, Sample, VirtualClock
 from vantage.service import (
     SECOND,
     Answer,
@@ -90,6 +90,17 @@ def test_join_keeps_messages_that_come_before_their_episode() -> None:
     assert join.begin(2) == (pose(2, 0), tick(2, 0))
 
 
+def test_join_forgets_what_was_left_of_earlier_episodes() -> None:
+    join = StepJoin(KEYS)
+    for episode in range(1, 50):
+        join.begin(episode)
+        join.add("hider/pose", pose(episode, 0))  # the last poses of a game get no tick
+    join.begin(50)
+    assert len(join._waiting) == 0
+    assert join.add("tick", tick(50, 0)) is None
+    assert join.add("hider/pose", pose(50, 0)) == (pose(50, 0), tick(50, 0))
+
+
 def test_join_refuses_the_past_and_doubles() -> None:
     join = StepJoin(KEYS)
     join.begin(3)
@@ -108,7 +119,39 @@ def test_join_is_bounded_against_a_flood_of_strangers() -> None:
     join.begin(1)
     for step in range(10_000):
         join.add("tick", tick(99, step))
-    assert len(join._waiting) <= StepJoin.EARLY + 1
+    assert len(join._waiting) <= StepJoin.EARLY
+    for step in range(1, 10_000):
+        join.add("tick", tick(1, step))
+    assert len(join._waiting) <= StepJoin.EARLY
+
+
+def test_join_plays_on_through_a_flood() -> None:
+    join = StepJoin(KEYS)
+    join.begin(1)
+    join.add("tick", tick(1, 0))
+    for step in range(100):
+        join.add("tick", tick(99, step))
+    assert join.add("hider/pose", pose(1, 0)) == (pose(1, 0), tick(1, 0))
+
+
+def test_join_forgets_a_step_that_lost_a_message() -> None:
+    join = StepJoin(KEYS)
+    join.begin(1)
+    for step in range(1000):
+        join.add("hider/pose", pose(1, 2 * step))
+        join.add("hider/pose", pose(1, 2 * step + 1))
+        assert join.add("tick", tick(1, 2 * step + 1)) is not None
+    assert not join._waiting
+
+
+def test_who_joins_late_joins_at_the_latest_step() -> None:
+    join = StepJoin(KEYS)
+    for step in (7, 8):
+        join.add("hider/pose", pose(1, step))
+        join.add("tick", tick(1, step))
+    assert join.begin(1) == (pose(1, 8), tick(1, 8))
+    with pytest.raises(Unexpected, match="late"):
+        join.add("tick", tick(1, 7))
 
 
 def test_a_core_that_raises_is_counted_and_goes_on() -> None:
@@ -243,6 +286,15 @@ def test_malformed_messages_are_counted_by_topic() -> None:
     assert core.received == []
     assert health.inputs[0].malformed == 1
     assert "seeker/pose from simulator was malformed" in health.reason
+
+
+def test_lost_messages_are_added_up_by_topic() -> None:
+    bus = network()
+    core, runtime = probe(bus, "seeker", inputs=("tick", "seeker/pose"))
+    for event in (Lost("tick", "referee", 3), Lost("seeker/pose", "simulator", 1), Lost("tick", "referee", 2)):
+        runtime._handle(event, bus.clock())
+    assert {entry.key: entry.lost for entry in runtime.health_report("ok").inputs} == {"tick": 5, "seeker/pose": 1}
+    assert core.received == []
 
 
 def test_arrived_messages_reach_the_core() -> None:

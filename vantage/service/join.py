@@ -12,10 +12,11 @@ class StepJoin:
     """Collects the messages of one step until all of `keys` are there, whatever order they come in.
 
     Different publishers are not ordered among each other: a pose of the next episode may come before the episode itself,
-    so a few early messages are kept.
+    so a few early messages are kept. A step that lost a message is forgotten with the next one that is complete.
     """
 
     EARLY = 32
+    """Unfinished steps that are kept at most."""
 
     def __init__(self, keys: tuple[str, ...]) -> None:
         self._keys = keys
@@ -29,13 +30,12 @@ class StepJoin:
         return self._episode
 
     def begin(self, episode: int) -> tuple[Message, ...] | None:
-        """Turn to an episode. Returns its first step if that is already complete."""
+        """Turn to an episode. Returns its latest step that is already complete: who joins a game late joins it there."""
         self._episode = episode
         self._next_step = 0
-        for key in [key for key in self._waiting if key[0] < episode]:
-            del self._waiting[key]
-        for key in sorted(key for key in self._waiting if key[0] == episode):
-            complete = self._take(key)
+        self._forget_before(episode, 0)
+        for place in sorted((place for place in self._waiting if place[0] == episode), reverse=True):
+            complete = self._take(place)
             if complete is not None:
                 return complete
         return None
@@ -53,16 +53,22 @@ class StepJoin:
         if key in joined:
             raise Unexpected(f"{key} of episode {message.episode} step {message.step} came twice")
         joined[key] = message
+        if len(self._waiting) > self.EARLY:
+            # Not the step that is being played, whatever else comes in.
+            present = (self._episode, self._next_step)
+            del self._waiting[next(other for other in self._waiting if other != present)]
         if message.episode != self._episode or self._episode == 0:
-            if len(self._waiting) > self.EARLY:
-                self._waiting.popitem(last=False)
             return None
         return self._take(place)
 
     def _take(self, place: tuple[int, int]) -> tuple[Message, ...] | None:
-        joined = self._waiting[place]
+        joined = self._waiting.get(place, {})
         if len(joined) < len(self._keys):
             return None
-        del self._waiting[place]
         self._next_step = place[1] + 1
+        self._forget_before(self._episode, self._next_step)
         return tuple(joined[key] for key in self._keys)
+
+    def _forget_before(self, episode: int, step: int) -> None:
+        for place in [place for place in self._waiting if place < (episode, step)]:
+            del self._waiting[place]
