@@ -75,7 +75,7 @@ class RefereeCore:
         self._rules = self._settings.rules
         self._players = self._settings.players
         self._seed_of_first = self._settings.seed
-        self._first_number = self._settings.first_episode
+        self._first_number: int | None = self._settings.first_episode  # None: the next game is the first
         self._step = 0
         self._poses: dict[str, Pose] = {}
         self._commanded: set[str] = set()
@@ -89,6 +89,9 @@ class RefereeCore:
         if isinstance(received, Arrived):
             message = received.message
             robot = received.key.partition("/")[0]
+            if self._phase is _Phase.LISTENING and isinstance(message, Pose | Command):
+                self._left_behind = max(self._left_behind, message.episode)
+                return ()
             if isinstance(message, Pose):
                 return self._on_pose(robot, message, now)
             if isinstance(message, Command):
@@ -151,7 +154,7 @@ class RefereeCore:
             self._rules = control.rules
             self._players = control.players
             self._seed_of_first = control.seed
-            self._first_number = max(self._number, self._left_behind) + 1
+            self._first_number = None
         if self._phase is not _Phase.LISTENING:
             self._phase = _Phase.IDLE
             self._wake = None
@@ -164,6 +167,8 @@ class RefereeCore:
         if self._games_left is not None:
             self._games_left -= 1
         self._number += 1
+        if self._first_number is None:
+            self._first_number = self._number
         self._step = 0
         self._poses.clear()
         self._phase = _Phase.SETUP
@@ -171,9 +176,6 @@ class RefereeCore:
         return (self._episode("setup", now),)
 
     def _on_pose(self, robot: str, pose: Pose, now: int) -> Sequence[Send]:
-        if self._phase is _Phase.LISTENING:
-            self._left_behind = max(self._left_behind, pose.episode)
-            return ()
         expected = {_Phase.SETUP: 0, _Phase.COMMANDS: self._step + 1, _Phase.POSES: self._step + 1}.get(self._phase)
         if pose.episode != self._number or pose.step != expected:
             raise Unexpected(f"{robot}/pose of episode {pose.episode} step {pose.step} while {self._phase.value}")
@@ -248,7 +250,7 @@ class RefereeCore:
                 stamp=now,
                 episode=self._number,
                 step=self._step,
-                seed=self._seed_of_first + self._number - self._first_number,
+                seed=self._seed_of_first + (0 if self._first_number is None else self._number - self._first_number),
                 phase=phase,  # type: ignore[arg-type]
                 rules=self._rules,
                 players=self._players,

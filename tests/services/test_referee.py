@@ -163,6 +163,19 @@ def test_a_restarted_referee_aborts_the_game_it_finds_and_goes_on_after_it() -> 
     assert (setup.episode, setup.phase, setup.seed) == (6, "setup", 6)
 
 
+def test_commands_tell_of_a_game_too_when_simulator_and_referee_were_restarted() -> None:
+    table = Table()
+    table.wake()
+    table.send(Arrived("control", Control(stamp=0, action="start", seed=42)))
+    table.command("seeker", 3, episode=7)
+    for name in REQUIRED:
+        table.send(Changed(name, True))
+    aborted, setup = table.wake()
+    assert isinstance(aborted, Episode) and isinstance(setup, Episode)
+    assert (aborted.episode, aborted.phase) == (7, "aborted")
+    assert (setup.episode, setup.phase, setup.seed) == (8, "setup", 42)
+
+
 def test_control_starts_and_stops_games() -> None:
     table = Table()
     assert table.arrive() == []
