@@ -5,6 +5,8 @@ from __future__ import annotations
 import random
 from pathlib import Path
 
+from msgspec import structs
+
 from schemas import Episode, Gap, Pose, encode
 from tests.log.making import START, game, records_of, write_log
 from vantage.log import Record, read
@@ -101,6 +103,14 @@ def test_aborted_games_and_losses_are_not_complete() -> None:
 def _with(records: list[Record], extra: Record) -> EpisodeLog:
     (found,) = episodes([*records[:10], extra, *records[10:]])
     return found
+
+
+def test_a_game_that_has_ended_is_not_aborted_any_more() -> None:
+    ended = list(game(3, 4))
+    _, last = ended[-1]
+    assert isinstance(last, Episode)
+    (found,) = episodes(records_of([*ended, ("episode", structs.replace(last, phase="aborted", outcome="undecided"))]))
+    assert found.complete and found.episode.outcome == "survived"
 
 
 def test_losses_after_a_game_do_not_count_against_the_one_before() -> None:

@@ -83,7 +83,9 @@ class EpisodeLog:
         robot: Robot = "seeker" if key.startswith("seeker/") else "hider"
         match message:
             case Episode():
-                self.episode = message
+                # A restarted referee declares the last game it hears of aborted, also one that had ended.
+                if (self.episode.phase, message.phase) != ("ended", "aborted"):
+                    self.episode = message
             case Layout():
                 self.layout = message
             case Pose():
