@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,6 +17,8 @@ from services.predictor.declaration import DECLARATION
 from vantage.networks.inputs import render_inputs
 from vantage.perception.palette import PALETTE
 from vantage.service import SECOND, Answer, Asked, Publish, Received, Refuse, Send, Unexpected, Woken
+
+logger = logging.getLogger("vantage")
 
 
 @dataclass(frozen=True)
@@ -77,6 +80,7 @@ class PredictorCore:
 
     def __post_init__(self) -> None:
         self._jobs: list[_Job] = []
+        self.trouble = ""
 
     def warm_up(self) -> None:
         """Answer a small request to nobody: compiles kernels and fills caches before the first that counts."""
@@ -99,7 +103,15 @@ class PredictorCore:
         if finished:  # answered one turn after their last slice, so that `now` counts it
             self._jobs = [job for job in self._jobs if job.done < len(job.queries)]
             return [send for job in finished for send in self._answers(job, now)]
-        self._compute()
+        try:
+            self._compute()
+        except Exception as error:  # kept, these jobs would fail again at every turn
+            failed, self._jobs = self._jobs, []
+            reason = f"the networks failed: {type(error).__name__}: {error}"
+            self.trouble = reason
+            logger.exception("computing an answer failed")
+            return [Refuse(token, reason) for job in failed for token in job.tokens]
+        self.trouble = ""
         return ()
 
     def _take(self, request: PredictRequest, token: int, now: int) -> Sequence[Send]:

@@ -156,6 +156,22 @@ def test_the_same_request_asked_again_is_computed_once(networks: Inference) -> N
     assert sum(isinstance(send, Publish) for send in sent) == 1
 
 
+def test_networks_that_fail_refuse_what_waits_and_answer_the_next(networks: Inference, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> None:
+        raise MemoryError("no room")
+
+    core = PredictorCore(networks, PredictorSettings())
+    core.step(Asked("predictor", make_request(), 1), 0)
+    with monkeypatch.context() as broken:
+        broken.setattr(Inference, "answer", fail)
+        (refused,) = core.step(Woken(), 0)
+    assert isinstance(refused, Refuse) and refused.token == 1 and "no room" in refused.reason
+    assert core.wake_at() is None and "no room" in core.trouble
+    core.step(Asked("predictor", make_request(), 2), 0)
+    assert any(isinstance(send, Answer) and send.token == 2 for send in wake_until_idle(core))
+    assert not core.trouble
+
+
 def test_absurd_requests_are_refused_and_the_next_is_answered(networks: Inference) -> None:
     core = PredictorCore(networks, PredictorSettings(maximum_queries=100, maximum_waiting=2))
     (refuse,) = core.step(Asked("predictor", make_request(paths=40), 1), 0)
