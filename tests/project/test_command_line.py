@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import resource
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import pytest
@@ -19,11 +19,13 @@ def run(*words: str) -> subprocess.CompletedProcess[str]:
 
 
 def test_help_is_quick_and_names_every_command() -> None:
+    """Computing time, so that a busy machine does not matter."""
     durations = []
     for _ in range(3):
-        started = time.perf_counter()
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
         outcome = run("--help")
-        durations.append(time.perf_counter() - started)
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        durations.append(after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime)
     assert min(durations) < 0.3
     assert outcome.returncode == 0
     for command in cli.COMMANDS:
