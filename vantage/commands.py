@@ -46,14 +46,14 @@ class Up(Where):
 
     Examples:
         vantage up simulation
-        vantage up simulation --logs /data/logs --with seeker="--preset expert" referee="--autoplay"
+        vantage up simulation --logs /data/logs --with planner="--value binary" referee="--autoplay"
     """
 
     logs: Path = Path("logs")
     """Where the recorder writes its MCAP logs."""
     extra: Annotated[tuple[str, ...], tyro.conf.arg(name="with", metavar="NAME=ARGUMENTS")] = ()
     """Arguments added to the command of a service; `python -m services.NAME --help` lists them."""
-    timeout: float = 30.0
+    timeout: float = 60.0
     """Seconds to wait for all services to be healthy."""
 
 

@@ -32,7 +32,7 @@ class Table:
     def __enter__(self) -> Table:
         subprocess.run([sys.executable, "-m", "vantage.warm_up"], check=True, capture_output=True)
         started = time.monotonic()
-        self.started = self.command("up", "simulation", "--logs", str(self.logs))
+        self.started = self.command("up", "simulation", "--logs", str(self.logs), "--timeout", "120")
         self.took = time.monotonic() - started
         return self
 
