@@ -8,9 +8,10 @@ from matplotlib.image import imread
 
 from learning.collect import CollectSettings, play_block
 from learning.demo import views_request
-from learning.picture import draw, read_game
+from learning.picture import _true_view, draw, read_game
 from schemas import Plan, PredictReply, PredictRequest, Rules, StateImage, encode
 from vantage.log import LogWriter, read
+from vantage.perception.palette import PALETTE
 
 
 def game_with_predictions(folder: Path) -> Path:
@@ -57,8 +58,23 @@ def test_the_picture_shows_something(tmp_path: Path) -> None:
     picture = imread(tmp_path / "picture.png")
     assert picture.shape[:2] == (1240, 1300)
     assert (picture[..., :3] < 0.99).any(axis=2).mean() > 0.1
+    centres = []
     for shade in (10, 120, 230):
-        assert (np.abs(picture[..., :3] - shade / 255) < 1e-3).all(axis=2).sum() > 5000, "each predicted view is there"
+        rows, columns = np.nonzero((np.abs(picture[..., :3] - shade / 255) < 1e-3).all(axis=2))
+        assert len(rows) > 5000, "each predicted view is there"
+        centres.append((columns.mean(), rows.mean()))
+    assert [x for x, _ in centres] == sorted(x for x, _ in centres), "from the first step to the last"
+    assert all(700 < y < 1000 for _, y in centres), "predictions above, as the label says, and true views below"
+
+
+def test_the_true_views_are_what_the_seeker_perceived_frozen_at_the_end(tmp_path: Path) -> None:
+    game = read_game(game_with_predictions(tmp_path))
+    for step, message in game.log.views["seeker"].items():
+        view, _ = _true_view(game.log, step)
+        np.testing.assert_array_equal(view, PALETTE[np.frombuffer(message.data, np.uint8).reshape(128, 128)])
+    last, caption = _true_view(game.log, game.log.steps + 50)
+    np.testing.assert_array_equal(last, _true_view(game.log, game.log.steps)[0])
+    assert caption == f"step {game.log.steps}: {'caught' if game.log.episode.outcome == 'caught' else 'free'}"
 
 
 def test_a_log_without_a_game_is_a_clear_error(tmp_path: Path) -> None:

@@ -5,16 +5,21 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from schemas import GOAL_COUNT, PRIMITIVES, Command, Episode, Plan, PredictReply, PredictRequest, Rules, StateImage, Tick
+from services.planner.controller import Controller
 from services.planner.core import PlannerCore, PlannerSettings
 from services.planner.value_map import checkpoints, choose_goal, values_of
 from services.simulator.core import SimulatorCore
+from vantage.perception.seen_map import blocked, occupancy_of
 from vantage.service import Answered, Arrived, Ask, Publish, Send, Unexpected, Woken
+from vantage.world import search
 from vantage.world.arena import GOALS
+from vantage.world.layout import boxes_of
+from vantage.world.motion import apply_primitive
 
 Judge = Callable[[NDArray[np.float32], tuple[int, ...]], NDArray[np.float32]]
 
@@ -123,6 +128,21 @@ def test_a_predictor_that_fails_is_asked_again() -> None:
     assert len(play.plans) == 1 and len(play.commands) == 1
 
 
+def test_a_late_answer_to_an_earlier_question_is_not_taken_for_the_one_under_way() -> None:
+    play = Play()
+    (ask,) = play.take(play.pending)
+    with pytest.raises(Unexpected, match="too slow"):
+        play.planner.step(Answered("predictor", ask.token, None, "too slow"), 10)
+    wake = play.planner.wake_at()
+    assert wake is not None
+    (again,) = play.take(play.planner.step(Woken(), wake))
+    assert again.token != ask.token
+    assert play.answer(ask, far_from_the_origin) == ()
+    play.take(play.answer(again, far_from_the_origin))
+    assert play.answer(again, far_from_the_origin) == ()
+    assert len(play.plans) == 1 and len(play.commands) == 1
+
+
 def test_a_reply_of_the_wrong_size_is_set_aside_and_asked_again() -> None:
     play = Play()
     (ask,) = play.take(play.pending)
@@ -163,6 +183,36 @@ def test_the_privileged_map_blocks_goals_that_the_camera_cannot_know() -> None:
     assert len(blocked[1]) > len(blocked[0])
 
 
+@pytest.mark.parametrize("seed", range(1, 13))
+def test_the_value_map_has_no_goal_where_the_robot_cannot_stand(seed: int) -> None:
+    play = Play(PlannerSettings(map="privileged"), seed=seed)
+    (ask,) = play.take(play.pending)
+    play.take(play.answer(ask, far_from_the_origin))
+    assert play.planner._layout is not None
+    cells = blocked(occupancy_of(boxes_of(play.planner._layout)), search.CLEARANCE)
+    for goal, (x, y) in enumerate(GOALS.tolist()):
+        if cells[search.cell_of(y), search.cell_of(x)]:
+            assert play.plans[0].values[goal] is None, f"goal {goal}"
+
+
+@pytest.mark.parametrize("heading", [0, 18])
+def test_a_refused_move_is_remembered_and_driven_around(heading: int) -> None:
+    controller = Controller(np.zeros((search.CELLS, search.CELLS), np.uint8))  # a box that no camera shows stands in the middle
+    box = np.array([[0.6, 0.6, 0.05, 0.05, 1.0, 0.0, 0.2]])
+    x, y = 0.25, 0.6
+    controller.go_to(0.95, 0.6, x, y, heading)
+    changes = 0
+    for step in range(400):
+        controller.observe(None, x, y, heading, step)  # type: ignore[arg-type]
+        primitive = controller.drive(x, y, heading)
+        if controller.path_changed:
+            changes += 1
+            controller.planned_path(x, y, heading, 1)
+        x, y, heading, _ = apply_primitive(box, 1.2, 1.2, x, y, heading, primitive, math.nan, math.nan)
+    assert math.dist((x, y), (0.95, 0.6)) < 0.02
+    assert changes > 1
+
+
 def test_it_leaves_episodes_of_other_hiders_alone() -> None:
     from schemas import Players
 
@@ -190,6 +240,7 @@ def test_binary_values_count_and_expected_values_add() -> None:
     assert values_of(caught, "expected") == pytest.approx([1.6, 1.5])
 
 
+@settings(deadline=None)
 @given(st.lists(st.integers(0, 4), min_size=GOAL_COUNT, max_size=GOAL_COUNT), st.floats(0, 1.2), st.floats(0, 1.2))
 def test_ties_go_to_the_goal_farthest_from_the_hider(values: list[int], x: float, y: float) -> None:
     array = np.array(values, float)

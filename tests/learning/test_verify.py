@@ -1,0 +1,119 @@
+"""`vantage log verify` and process replay find what is wrong with a log: one spoilt message is enough."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from learning.collect import CollectSettings, play_block
+from learning.process_replay import replay_service
+from learning.verify import VerifySettings, check_game, main
+from schemas import GOAL_COUNT, Command, Message, Rules, encode
+from tests.log.making import write_log
+from vantage.log import Record, read
+from vantage.log.episodes import EpisodeLog, episodes
+
+Change = Callable[[Message], Message | None]
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("verify") / "game.mcap"
+    play_block(CollectSettings(hider="goal-walk", views=True, rules=Rules(maximum_steps=40)), range(3, 4), (), path)
+    return path
+
+
+def spoilt(log: Path, key: str, step: int, change: Change) -> Path:
+    """A copy of a log in which one message is another one, or missing."""
+    records: list[Record] = []
+    for record in read(log):
+        message: Message | None = record.decode()
+        if record.key == key and message.step == step:  # type: ignore[union-attr]
+            message = change(message)  # type: ignore[arg-type]
+        if message is not None:
+            records.append(replace(record, payload=encode(message)))
+    path = log.with_name(f"spoilt-{len(list(log.parent.iterdir()))}.mcap")
+    write_log(path, records)
+    return path
+
+
+def other_primitive(message: Message) -> Message:
+    assert isinstance(message, Command)
+    return replace(message, primitive="backward" if message.primitive != "backward" else "forward")
+
+
+def wrong(game: EpisodeLog) -> list[str]:
+    return [finding.what.partition(" ")[2] for finding in check_game(game) if not finding.good]
+
+
+def test_a_service_that_says_the_same_again_has_no_differences(log: Path) -> None:
+    comparisons = {comparison.key: comparison for comparison in replay_service(log, "seeker")}
+    assert [comparison.differences for comparison in comparisons.values()] == [[], []]
+    assert comparisons["seeker/command"].compared == sum(1 for _ in read(log, topics=("seeker/command",))) > 5
+
+
+def test_replay_names_the_message_and_the_field_that_differ(log: Path) -> None:
+    found = {item.key: item.differences for item in replay_service(spoilt(log, "seeker/command", 4, other_primitive), "seeker")}
+    assert found == {"seeker/command": ["message 4 (episode 3, step 4) differs in primitive"], "seeker/view": []}
+
+
+def test_replay_finds_an_input_that_explains_another_output(log: Path) -> None:
+    moved = spoilt(log, "seeker/pose", 4, lambda pose: replace(pose, heading=pose.heading + 1.0))  # type: ignore[attr-defined,call-arg]
+    found = {item.key: item.differences for item in replay_service(moved, "seeker")}
+    assert "message 4 (episode 3, step 4) differs in data" in found["seeker/view"][0]
+
+
+def test_replay_finds_a_message_that_is_missing(log: Path) -> None:
+    found = {item.key: item.differences for item in replay_service(spoilt(log, "seeker/command", 4, lambda _: None), "seeker")}
+    count = sum(1 for _ in read(log, topics=("seeker/command",)))
+    assert found["seeker/command"][0] == f"{count - 1} messages recorded, {count} said again"
+
+
+@pytest.mark.parametrize("robot", ["hider", "seeker"])
+def test_a_missing_command_is_found_unless_the_robot_was_late(log: Path, robot: str) -> None:
+    (game,) = episodes(read(log))
+    assert wrong(game) == []
+    (game,) = episodes(read(spoilt(log, f"{robot}/command", 4, lambda _: None)))
+    assert wrong(game) == [f"3: one {robot} command a step"]
+    game.late[4] = (robot,)  # type: ignore[assignment]
+    assert wrong(game) == []
+
+
+@pytest.mark.parametrize("caught", [1, 40, None])
+def test_an_outcome_that_the_poses_do_not_have_is_found(log: Path, caught: int | None) -> None:
+    (game,) = episodes(read(log))
+    assert caught != game.episode.caught_step
+    game.episode = replace(game.episode, outcome="survived" if caught is None else "caught", caught_step=caught)
+    assert wrong(game) == ["3: outcome recomputed from the poses"]
+
+
+def test_a_pose_that_is_missing_is_found(log: Path) -> None:
+    (game,) = episodes(read(log))
+    del game.depths["seeker"][2]
+    assert wrong(game) == ["3 is whole"]
+
+
+def test_a_value_map_wants_every_goal_and_a_choice_that_is_not_blocked(log: Path) -> None:
+    (game,) = episodes(read(log))
+    plan = game.plans[0]
+    values = (None, *[1.0] * (GOAL_COUNT - 1))
+    for changed, good in (
+        (replace(plan, values=values, goal=1), True),
+        (replace(plan, values=values, goal=0), False),
+        (replace(plan, values=values, goal=None), False),
+    ):
+        game.plans[0] = changed
+        assert wrong(game) == ([] if good else ["3: value map of step 0"])
+
+
+def test_a_game_that_did_not_end_is_no_good(log: Path) -> None:
+    (game,) = episodes(read(log))
+    game.episode = replace(game.episode, phase="aborted")
+    assert wrong(game) == ["3 ended"]
+
+
+def test_verify_says_no_with_its_exit_code(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    # The planner did not drive this hider: replayed, it says nothing.
+    assert main(VerifySettings(log)) == 1
+    assert "NO" in capsys.readouterr().out
