@@ -19,7 +19,7 @@ import tyro
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, SPLITS, STEP
+from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, SPLITS, STEP, UnusableDataset
 from schemas import ROBOTS
 from vantage.log import find_logs, open_log, source_commit
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
@@ -149,7 +149,10 @@ def convert(sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = F
 
     Raises:
         FileNotFoundError: there are no logs.
+        UnusableDataset: `to` exists and is no training set: it is not replaced.
     """
+    if to.exists() and not (to / "manifest.json").is_file() and not _is_empty_folder(to):
+        raise UnusableDataset(f"{to} exists and is no training set, so it is not replaced: choose another --to")
     logs = sorted({tuple(parts) for source in sources for parts in find_logs(source)})
     partial = to.with_name(to.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
@@ -204,6 +207,10 @@ def convert(sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = F
     shutil.rmtree(to, ignore_errors=True)
     partial.rename(to)
     return manifest
+
+
+def _is_empty_folder(path: Path) -> bool:
+    return path.is_dir() and not any(path.iterdir())
 
 
 def _map(tasks: list[tuple[list[Path], Path]], workers: int) -> Iterator[tuple[dict[str, NDArray[Any]], int, Counter[str], str]]:

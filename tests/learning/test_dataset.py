@@ -140,6 +140,13 @@ def test_what_is_no_training_set_is_refused_in_one_line(logs: Path, tmp_path: Pa
         Dataset(folder)
 
 
+def test_a_folder_that_is_no_training_set_is_never_replaced(logs: Path) -> None:
+    before = sorted(path.name for path in logs.iterdir())
+    with pytest.raises(UnusableDataset, match="not replaced"):
+        convert([logs], logs, workers=1, quiet=True)
+    assert sorted(path.name for path in logs.iterdir()) == before
+
+
 def test_prefetch_yields_everything_in_order_and_passes_errors_on() -> None:
     assert list(prefetch(lambda: iter(range(50)), ahead=3)) == list(range(50))
 
