@@ -212,6 +212,32 @@ def test_strangers_and_nonsense_are_kept_as_bytes(tmp_path: Path) -> None:
     assert found[2][:3] == ("hider/pose", "msgpack", "Pose")
 
 
+def test_any_number_of_strangers_keys_costs_a_bounded_number_of_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("vantage.log.writer.MOST_CHANNELS", 20)
+    pose = encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0))
+    with LogWriter(tmp_path / "log.mcap", RunMetadata(), sync=False) as log:
+        common = {"log_time": START, "publish_time": 0}
+        for number in range(100):
+            log.write(f"stranger/{number}", bytes([number]), sequence=0, publisher=f"stranger-{number}", **common)
+            log.write("hider/pose", pose, sequence=number, publisher=f"stranger-{number}", **common)
+        log.write("hider/pose", pose, sequence=0, publisher="simulator", **common)
+    with open_log(tmp_path / "log.mcap") as found:
+        records = list(found.records())
+        assert len(found.files[0].channels) == 20 + 2
+    assert len(records) == 201
+    assert (records[-1].key, records[-1].publisher, records[-1].payload) == ("hider/pose", "simulator", pose)
+    assert [record.payload for record in records if len(record.payload) == 1] == [bytes([number]) for number in range(100)]
+
+
+def test_a_time_out_of_range_is_refused_and_spoils_nothing(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap", RunMetadata(), sync=False) as log:
+        log.write("stranger/thing", b"good", log_time=START, publish_time=1, sequence=0, publisher="")
+        with pytest.raises(struct.error):
+            log.write("stranger/thing", b"bad", log_time=START, publish_time=-1, sequence=1, publisher="")
+    with (tmp_path / "log.mcap").open("rb") as file:
+        assert [message.data for _, _, message in make_reader(file).iter_messages()] == [b"good"]
+
+
 def test_a_flushed_message_is_in_the_file(tmp_path: Path) -> None:
     log = LogWriter(tmp_path / "log.mcap", RunMetadata(), flush_period=10**15)
     records = records_of(game(1, 2))

@@ -164,6 +164,11 @@ class Part:
         self, channel: int, group: str, compression: Compression, sequence: int, log_time: int, publish_time: int, payload: bytes
     ) -> bool:
         """Add a message to the open chunk of `group`; return whether that chunk is full and wants `write_chunk`."""
+        length = len(payload)
+        # First of all, because it refuses a number that is out of range.
+        head = _MESSAGE_HEAD.pack(
+            Opcode.MESSAGE, length + _MESSAGE_FIELDS, channel, sequence & 0xFFFFFFFF, log_time, publish_time
+        )
         chunk = self._chunks.get(group)
         if chunk is None:
             chunk = self._chunks[group] = _Chunk(compression)
@@ -172,10 +177,7 @@ class Part:
             entries = chunk.index[channel] = []
         entries.append(log_time)
         entries.append(chunk.size)
-        length = len(payload)
-        chunk.pieces.append(
-            _MESSAGE_HEAD.pack(Opcode.MESSAGE, length + _MESSAGE_FIELDS, channel, sequence & 0xFFFFFFFF, log_time, publish_time)
-        )
+        chunk.pieces.append(head)
         chunk.pieces.append(payload)
         chunk.size += length + _MESSAGE_HEAD.size
         if log_time < chunk.start:

@@ -23,6 +23,8 @@ Translate = Callable[[str, bytes], "Iterable[ViewerMessage]"]
 
 FLUSH_PERIOD = 1_000_000_000
 """ns; what a crash can cost at most."""
+MOST_CHANNELS = 4096
+"""Channels of one part; what strangers say beyond them stands together on the channel `**` (MCAP counts to 65535)."""
 _BULKY = 32 * 1024
 _RETRY_PERIOD = 1_000_000_000
 
@@ -282,8 +284,15 @@ class LogWriter:
         return part
 
     def _add_route(self, key: str, publisher: str, well_formed: bool, repeated: bool = False) -> _Route:
+        topic = TOPICS.get(key)
+        is_stranger = topic is None or publisher not in topic.publishers
+        if is_stranger and not repeated and len(self._routes) >= MOST_CHANNELS:
+            key, publisher, well_formed = "**", "", False
+            if (known := self._routes.get((key, publisher, well_formed))) is not None:
+                return known
         metadata = {"publisher": publisher}
-        topic = TOPICS.get(key) if well_formed else None
+        if not well_formed:
+            topic = None
         if topic is None:
             channel = self._part.add_channel(key, "", 0, metadata)
             route = _Route(channel, "unknown", self._compression, False)
