@@ -31,6 +31,7 @@ from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
 from vantage.log import LogWriter, RunMetadata, read, source_commit
+from vantage.play import SeekerPreset
 from vantage.service import Core
 
 EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
@@ -51,8 +52,8 @@ class CollectSettings:
     """How many games."""
     hider: str = "goal-walk"
     """Policy of the hider: a row of the hider table (random, goal-walk, scripted, scripted-1..3, replay)."""
-    seeker: str = "glancing"
-    """Preset of the seeker: glancing or expert."""
+    seeker: SeekerPreset = "glancing"
+    """Preset of the seeker."""
     to: Path = Path("logs")
     """Folder for the logs."""
     from_logs: Path | None = None

@@ -13,6 +13,7 @@ from learning.picture import VIEW_INTERVAL, Game, draw, read_game
 from schemas import Control, Episode, Message, Plan, Players, PredictReply, PredictRequest, Rules, StateImage, Tick
 from vantage.bus import Bus, Reply, Sample
 from vantage.deployment import Deployment, DeploymentError
+from vantage.play import SeekerPreset, wish
 from vantage.watch import HealthWatch
 
 console = Console(highlight=False)
@@ -33,8 +34,8 @@ class DemoSettings:
     """Seed of the game: layout, start, camera noise, exploration."""
     layout: str = "random"
     """Arena: `random`, `lab`, or the path of a layout file."""
-    seeker: str = "glancing"
-    """Preset of the seeker: `glancing` or `expert`."""
+    seeker: SeekerPreset = "glancing"
+    """Preset of the seeker."""
     steps: int = 100
     """Steps that the hider has to survive."""
     period: float = 0.25
@@ -50,6 +51,8 @@ def main(settings: DemoSettings) -> int:
     from vantage.bus.zenoh_bus import ZenohBus
 
     started = time.monotonic()
+    rules = Rules(maximum_steps=settings.steps, layout=settings.layout, step_period=settings.period)
+    ask = wish(settings.seed, 1, rules, Players(seeker=settings.seeker))
     deployment = Deployment("simulation", settings.folder)
     before = set(settings.to.glob("*.mcap"))
     console.print("1/5 starting the services ...")
@@ -58,7 +61,7 @@ def main(settings: DemoSettings) -> int:
         with ZenohBus("command-line", deployment.folder) as bus:
             count = _wait_until_healthy(deployment)
             console.print(f"    {count} services are healthy after {time.monotonic() - started:.1f} s")
-            episode = _play(bus, settings, started)
+            episode = _play(bus, ask, started)
             # What was said last is on its way to the recorder, which flushes each second.
             time.sleep(0.5)
     finally:
@@ -94,13 +97,10 @@ def _wait_until_healthy(deployment: Deployment) -> int:
                 raise DeploymentError(f"{name} is not healthy: {sick[0].trouble}\n{deployment.tail(name)}")
 
 
-def _play(bus: Bus, settings: DemoSettings, started: float) -> Episode:
+def _play(bus: Bus, ask: Control, started: float) -> Episode:
     """Ask for one game, tell how it goes, ask for the predicted views of the chosen plan. Returns the game's last word."""
     bus.subscribe("episode", "tick", "hider/plan", "hider/view")
-    rules = Rules(maximum_steps=settings.steps, layout=settings.layout, step_period=settings.period)
-    ask = Control(
-        stamp=time.time_ns(), action="start", seed=settings.seed, games=1, rules=rules, players=Players(seeker=settings.seeker)
-    )
+    rules = ask.rules
     deadline = time.monotonic() + _PATIENCE
     while not bus.has_reader("control"):
         if time.monotonic() > deadline:

@@ -28,7 +28,7 @@ from vantage.networks.weights import fast_device, load
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """Accuracy of VPN on VPT-TOB's predictions, on unseen test examples with uniform start and horizon.
+    """Accuracy of VPN on VPT-TOB's predictions, on unseen test examples: t0 = 0 (see --any-start), horizon uniform.
 
     Example: vantage evaluate --data dataset/ --weights weights/ --samples 1000
     """
@@ -42,7 +42,7 @@ class EvaluateSettings:
     horizons: tuple[int, ...] = (100, 200)
     """T: examples have horizons below each of these."""
     any_start: bool = False
-    """Let any step be t0, not only the first of an episode."""
+    """Let any step before the catch be t0 in half of the examples, not only the first of an episode."""
     to: Path | None = Path("runs/evaluation")
     """Write the results to this path, as .json and .md."""
     threads: int = 0

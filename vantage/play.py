@@ -6,16 +6,19 @@ import time
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from schemas import TOPICS, Control, Episode, MalformedMessage, Message, Plan, Players, Rules, Tick
+from schemas import TOPICS, Control, Episode, MalformedMessage, Message, Plan, Players, Rules, Tick, decode, encode
 from vantage.bus import Alive, Bus, Event, Sample
 from vantage.deployment import Deployment, DeploymentError
 
 console = Console(highlight=False)
+
+SeekerPreset = Literal["glancing", "expert"]
 
 PATIENCE = 15.0
 """Seconds within which the referee must set a game up."""
@@ -44,8 +47,8 @@ class Settings:
     """Arena: `random`, `lab`, or the path of a layout file."""
     hider: str = "planner"
     """Policy of the hider."""
-    seeker: str = "glancing"
-    """Preset of the seeker: `glancing` or `expert`."""
+    seeker: SeekerPreset = "glancing"
+    """Preset of the seeker."""
     period: float = 0.25
     """Seconds a step; 0 = as fast as the players answer."""
     deployment: str = "simulation"
@@ -195,24 +198,34 @@ def play(bus: Bus, ask: Control) -> Sequence[Game]:
     return match.games
 
 
+def wish(seed: int, games: int, rules: Rules, players: Players) -> Control:
+    """Return the request for some games; a layout file is named so that the simulator finds it from its own folder.
+
+    Raises:
+        DeploymentError: nobody could play such a game.
+    """
+    if Path(rules.layout).is_file():
+        rules = msgspec.structs.replace(rules, layout=str(Path(rules.layout).absolute()))
+    elif rules.layout not in ("random", "lab"):
+        raise DeploymentError(f"there is no layout {rules.layout!r}: give `random`, `lab` or the path of a layout file")
+    ask = Control(stamp=time.time_ns(), action="start", seed=seed, games=games, rules=rules, players=players)
+    try:
+        return decode(Control, encode(ask))
+    except (MalformedMessage, OverflowError) as error:
+        raise DeploymentError(f"no such game can be played: {error}") from None
+
+
 def main(settings: Settings) -> int:
     """Play; 0 if no game was aborted."""
     from vantage.bus.zenoh_bus import ZenohBus
 
+    rules = Rules(maximum_steps=settings.steps, layout=settings.layout, step_period=settings.period)
+    ask = wish(settings.seed, settings.games, rules, Players(hider=settings.hider, seeker=settings.seeker))
     deployment = Deployment(settings.deployment, settings.folder)
     if not deployment.folder.is_dir():
         raise DeploymentError(
             f"{settings.deployment} is not up in {deployment.folder}: start it with `vantage up {settings.deployment}`"
         )
-    layout = str(Path(settings.layout).absolute()) if Path(settings.layout).is_file() else settings.layout
-    ask = Control(
-        stamp=time.time_ns(),
-        action="start",
-        seed=settings.seed,
-        games=settings.games,
-        rules=Rules(maximum_steps=settings.steps, layout=layout, step_period=settings.period),
-        players=Players(hider=settings.hider, seeker=settings.seeker),
-    )
     with ZenohBus("command-line", deployment.folder, settings.arena) as bus:
         games = play(bus, ask)
     return 1 if any(game.episode.phase == "aborted" for game in games) else 0

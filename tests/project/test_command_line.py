@@ -6,10 +6,13 @@ import resource
 import subprocess
 import sys
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
+from services.seeker.policy import PRESETS
 from vantage import cli
+from vantage.play import SeekerPreset
 
 VANTAGE = Path(sys.executable).parent / "vantage"
 
@@ -52,6 +55,10 @@ def test_every_command_exists_and_explains_itself(command: cli.Command) -> None:
         (("status", "--folder", "/tmp/vantage-nobody-is-here"), "vantage up simulation"),
         (("logs", "pilot"), "no service `pilot`"),
         (("play", "--folder", "/tmp/vantage-nobody-is-here"), "vantage up simulation"),
+        (("play", "--steps", "0"), "rules.maximum_steps"),
+        (("play", "--layout", "nowhere.json"), "no layout 'nowhere.json'"),
+        (("play", "--seeker", "blind"), "glancing"),
+        (("demo", "--period", "-1"), "rules.step_period"),
     ],
 )
 def test_mistakes_are_answered_in_one_readable_text(words: tuple[str, ...], told: str) -> None:
@@ -59,6 +66,10 @@ def test_mistakes_are_answered_in_one_readable_text(words: tuple[str, ...], told
     assert outcome.returncode in (1, 2)
     assert told in outcome.stderr
     assert "Traceback" not in outcome.stderr
+
+
+def test_the_seekers_that_people_may_ask_for_are_the_presets_there_are() -> None:
+    assert set(get_args(SeekerPreset)) == set(PRESETS)
 
 
 def test_down_is_content_when_nothing_is_up() -> None:
