@@ -18,7 +18,7 @@ from mcap.reader import make_reader
 
 from schemas import Pose, encode
 from tests.log.making import START, game, records_of, write_log, write_record
-from vantage.log import BrokenLog, LogWriter, Record, RunMetadata, read
+from vantage.log import BrokenLog, LogWriter, Record, RunMetadata, open_log, read
 from vantage.log.recover import recover
 from vantage.log.report import info
 
@@ -108,6 +108,17 @@ def test_all_but_the_last_chunk_of_a_cut_file_is_there(folder: Path) -> None:
         path.write_bytes(data[:cut])
         held = sum(1 for record in records if data.find(record.payload, 0, cut) >= 0)
         assert len(quiet_read(path)) >= held - 20
+
+
+def test_a_recovered_log_keeps_what_it_says_of_itself(tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "log.mcap", RunMetadata(commit="test", arena="table", started=START), sync=False) as log:
+        put(log, 3, 0)
+        log.gap("tick", "referee", 2, log_time=START + 9)
+    recover(tmp_path / "log.mcap", tmp_path / "whole.mcap")
+    with open_log(tmp_path / "log.mcap") as before, open_log(tmp_path / "whole.mcap") as after:
+        assert after.metadata == before.metadata
+        assert (after.metadata["commit"], after.metadata["arena"]) == ("test", "table")
+        assert after.gaps == {"tick referee": 2}
 
 
 @QUIET

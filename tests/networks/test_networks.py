@@ -1,11 +1,14 @@
 """Shape of the networks: the paper's layers, what an output pixel can see, and that folding changes nothing."""
 
+import numpy as np
 import pytest
 import torch
 from torch import nn
 
-from vantage.networks.inference import folded
-from vantage.networks.vpn import Vpn
+from learning.train_vpn import pixels_of
+from vantage.networks import inference
+from vantage.networks.inference import Inference, folded
+from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
 
 SMALL = VptTobSettings(width=0.25)
@@ -57,3 +60,27 @@ def test_folding_the_norms_changes_nothing() -> None:
     plain = folded(network)
     assert not any(isinstance(layer, nn.BatchNorm2d) for layer in plain.modules())
     torch.testing.assert_close(plain(image), network(image), atol=1e-4, rtol=1e-4)
+
+
+def test_what_answers_in_play_is_what_was_trained(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(inference, "fast_precision", lambda _: torch.float32)
+    torch.manual_seed(0)
+    vpt_tob, vpn = VptTob(SMALL), Vpn(VpnSettings(width=4)).eval()
+    shown = np.random.default_rng(0).integers(0, [[[[10]]], [[[120]]], [[[255]]]], (3, 128, 128, 7)).astype(np.uint8)
+    pixels = pixels_of(shown, torch.device("cpu"), torch.float32)
+    with torch.no_grad():  # untrained networks say nearly the same of everything: make these tell the three apart
+        for layer in vpt_tob.modules():
+            if isinstance(layer, nn.BatchNorm2d):
+                layer.momentum = 1.0
+        vpt_tob(pixels)
+        expected = vpt_tob.eval()(pixels)
+        logits, last = vpn(expected), vpn.layers[-1]
+        last.weight /= logits.std()  # type: ignore[operator]
+        last.bias.copy_((last.bias - logits.mean()) / logits.std())  # type: ignore[operator,union-attr]
+        probabilities = torch.sigmoid(vpn(expected)).numpy()
+    assert np.ptp(probabilities) > 0.2
+    network = Inference(vpt_tob, vpn, batch=3, threads=1)
+    network.inputs[:] = shown
+    caught, views = network.answer(np.arange(3))
+    np.testing.assert_allclose(caught, probabilities, atol=0.01)
+    np.testing.assert_allclose(views, expected.permute(0, 2, 3, 1).numpy() * 255, atol=0.6)
