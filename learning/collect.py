@@ -14,6 +14,7 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.queues import Queue
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
@@ -30,7 +31,7 @@ from schemas import PRIMITIVES, Command, Episode, Players, Rules
 from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
-from vantage.log import LogWriter, RunMetadata, read, source_commit
+from vantage.log import LogWriter, RunMetadata, open_log, read, source_commit
 from vantage.play import SeekerPreset
 from vantage.service import Core
 
@@ -89,7 +90,15 @@ def main(settings: CollectSettings) -> int:
         range(first, min(first + settings.block, settings.episodes + 1))
         for first in range(1, settings.episodes + 1, settings.block)
     ]
-    waiting = [block for block in blocks if not log_path(settings, block).exists()]
+    waiting = []
+    for block in blocks:
+        path = log_path(settings, block)
+        held = configuration_in(path) if path.exists() else {}
+        if held and held["settings"] != configuration_of(settings, block)["settings"]:
+            print(f"{path} was made with other settings: choose another folder with --to, or remove it", file=sys.stderr)
+            return 2
+        if held.get("games") != len(block):
+            waiting.append(block)
     if len(waiting) < len(blocks):
         print(f"{len(blocks) - len(waiting)} of {len(blocks)} logs are there already and are kept")
     console = Console()
@@ -127,6 +136,23 @@ def main(settings: CollectSettings) -> int:
         print(f"{len(failed)} workers failed (see above); run the command again to go on", file=sys.stderr)
         return 1
     return 0
+
+
+def configuration_of(settings: CollectSettings, block: range) -> dict[str, Any]:
+    """Return what a log says of its making: nothing that depends on where or when it was made."""
+    portable = replace(settings, to=Path(), from_logs=None, workers=0, episodes=0)
+    plain = json.dumps(asdict(portable), default=lambda value: msgspec.to_builtins(value, enc_hook=str))
+    return {"settings": json.loads(plain), "games": len(block)}
+
+
+def configuration_in(path: Path) -> dict[str, Any]:
+    """Return the configuration that a log was made with; empty when it cannot be read."""
+    try:
+        with open_log(path) as log:
+            found = json.loads(log.metadata.get("configuration", "{}"))
+    except (OSError, ValueError):
+        return {}
+    return found if "settings" in found else {}
 
 
 def log_path(settings: CollectSettings, block: range) -> Path:
@@ -175,11 +201,9 @@ def play_block(settings: CollectSettings, block: range, trajectories: Trajectori
         "hider": HiderCore(make_policy, publish_view=settings.views),
         "referee": RefereeCore(referee),
     }
-    # What a log says of its making must not depend on where or when it was made.
-    portable = replace(settings, to=Path(), from_logs=None, workers=0)
     metadata = RunMetadata(
         commit=source_commit(),
-        configuration=json.dumps(asdict(portable), default=lambda value: msgspec.to_builtins(value, enc_hook=str)),
+        configuration=json.dumps(configuration_of(settings, block)),
         started=EPOCH + first * EPISODE_SPACING,
     )
     partial = path.with_suffix(".partial")
@@ -187,7 +211,7 @@ def play_block(settings: CollectSettings, block: range, trajectories: Trajectori
     # No flush by the wall clock: chunks, and so the file's bytes, depend on the messages alone.
     with LogWriter(partial, metadata, compression="lz4", sync=False, flush_period=2**62) as writer:
         steps = play(cores, len(block), EPOCH + first * EPISODE_SPACING, writer)
-    partial.rename(path)
+    partial.replace(path)
     return steps
 
 

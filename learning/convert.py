@@ -84,6 +84,8 @@ def _unusable(game: EpisodeLog) -> str:
         return "catches ignored (an evader's trajectory, to be replayed)"
     if not any(plan.path for plan in game.plans.values()):
         return "no planned path"
+    if 0 not in game.plans:
+        return "no plan from the start on"
     return ""
 
 

@@ -61,8 +61,8 @@ def measure(scores: NDArray[np.float32], data: Dataset, samples: Samples, limit:
     truth, predicted = samples.caught, scores > 0
     clock = best_clock(data.episodes["caught_step"][data.of_split("train")], limit)
     by_clock = samples.horizon >= clock
-    low, high = bootstrap_interval(predicted, truth, seed)
-    clock_low, clock_high = bootstrap_interval(by_clock, truth, seed)
+    low, high = bootstrap_interval(predicted, truth, samples.episode, seed)
+    clock_low, clock_high = bootstrap_interval(by_clock, truth, samples.episode, seed)
     hiders = data.episodes["hider"][samples.episode]
     edges = np.linspace(0, limit, 6).astype(int)
     bins = [(int(low_edge), int(high_edge)) for low_edge, high_edge in pairwise(edges)]

@@ -30,12 +30,26 @@ def balanced_accuracy(predicted: NDArray[np.bool_], truth: NDArray[np.bool_]) ->
 
 
 def bootstrap_interval(
-    predicted: NDArray[np.bool_], truth: NDArray[np.bool_], seed: int = 0, rounds: int = 2000, share: float = 0.95
+    predicted: NDArray[np.bool_],
+    truth: NDArray[np.bool_],
+    episode: NDArray[np.integer],
+    seed: int = 0,
+    rounds: int = 2000,
+    share: float = 0.95,
 ) -> tuple[float, float]:
-    """Return the interval that holds `share` of the accuracies of resampled examples (percentile bootstrap)."""
-    right = (predicted == truth).astype(np.float64)
+    """Return the interval that holds `share` of the accuracies when episodes are drawn again (percentile cluster bootstrap).
+
+    Examples of one episode share their catch, so that drawing single examples again would make the interval too narrow.
+
+    Args:
+        predicted, truth, episode: of each example. [B]
+    """
+    _, index = np.unique(episode, return_inverse=True)
+    right = np.bincount(index, predicted == truth)  # right answers by episode
+    count = np.bincount(index)
     generator = np.random.default_rng(seed)
-    means = np.array([right[generator.integers(len(right), size=len(right))].mean() for _ in range(rounds)])
+    draws = generator.integers(len(count), size=(rounds, len(count)))
+    means = right[draws].sum(axis=1) / count[draws].sum(axis=1)
     low, high = np.quantile(means, [(1 - share) / 2, (1 + share) / 2])
     return float(low), float(high)
 

@@ -194,7 +194,7 @@ def _track(poses: dict[int, Pose]) -> NDArray[np.float64]:
 def _true_view(log: EpisodeLog, step: int) -> tuple[NDArray[np.uint8] | None, str]:
     """Return the seeker's view at a step (RGB), or its last one where the game was over by then, and a caption."""
     shown = min(step, log.steps)
-    pose, depth, color = (held["seeker"].get(shown) for held in (log.poses, log.depths, log.colors))
+    pose, depth, color = log.poses["seeker"].get(shown), log.depths["seeker"].get(shown), log.colors["seeker"].get(shown)
     if pose is None or depth is None or color is None:
         return None, ""
     image = PALETTE[perceive(depth, color, pose, "seeker").image]

@@ -15,6 +15,7 @@ from learning.process_replay import replay_service, replayable
 from schemas import GOAL_COUNT, ROBOTS
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
 from vantage.log.reader import read
+from vantage.world.arena import CATCH_TOLERANCE
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ def recomputed_outcome(game: EpisodeLog) -> tuple[str, int | None]:
     rules = game.episode.rules
     for step in range(1, game.steps + 1):
         hider, seeker = game.poses["hider"][step], game.poses["seeker"][step]
-        if rules.catching and math.hypot(hider.x - seeker.x, hider.y - seeker.y) <= rules.catch_distance + 1e-9:
+        if rules.catching and math.hypot(hider.x - seeker.x, hider.y - seeker.y) <= rules.catch_distance + CATCH_TOLERANCE:
             return "caught", step
     return ("survived" if game.steps >= rules.maximum_steps else "undecided"), None
 

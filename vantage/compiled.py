@@ -13,7 +13,7 @@ from typing import Any
 import numba
 
 _ROOT = Path(__file__).resolve().parent.parent
-_ROOMS = ("vantage/world", "vantage/perception", "services/seeker", "learning/hiders")
+_ROOMS = ("schemas", "vantage/world", "vantage/perception", "vantage/networks", "services/seeker", "learning/hiders")
 
 
 def _source_hash() -> str:

@@ -72,6 +72,10 @@ class Controller:
                 self._mark_bump(x, y, heading if primitive == FORWARD else heading + 18)
             self._last = None
 
+    def forget_primitive(self) -> None:
+        """The last primitive was not carried out: that the robot stands where it stood is no obstacle."""
+        self._last = None
+
     def reachable_goals(self, x: float, y: float, heading: int) -> NDArray[np.bool_]:
         """Return bool [121]: goals that are not blocked and can be reached, as far as has been seen."""
         tree = self.paths_from(x, y, heading)

@@ -23,6 +23,7 @@ from schemas import (
     PredictReply,
     PredictRequest,
     StateImage,
+    Tick,
 )
 from services.planner.controller import Controller
 from services.planner.declaration import DECLARATION
@@ -48,6 +49,8 @@ class PlannerSettings:
     """`binary` counts caught checkpoints as the paper does; `expected` adds their probabilities, which ranks goals better."""
     map: Literal["seen", "privileged"] = "seen"
     """Plan over what the camera has seen, or (ablation) over the true layout."""
+    maximum_horizon: int = 400
+    """Plan at most so many steps ahead: F and T tell no more apart."""
     predictor_timeout: float = 10.0
     """Seconds to wait for the predictor before asking again."""
 
@@ -69,7 +72,10 @@ class PlannerCore:
     declaration = DECLARATION
 
     def __init__(self, settings: PlannerSettings | None = None) -> None:
+        """Raises ValueError when a setting makes no sense."""
         self._settings = settings or PlannerSettings()
+        if self._settings.checkpoint_interval < 1 or self._settings.maximum_horizon < 1:
+            raise ValueError("--checkpoint-interval and --maximum-horizon must be at least 1 step")
         self._join = StepJoin(("hider/pose", "hider/depth", "hider/color", "tick"))
         self._episode: Episode | None = None
         self._layout: Layout | None = None
@@ -98,6 +104,10 @@ class PlannerCore:
         if isinstance(message, Layout):
             self._layout = message
             return ()
+        if isinstance(message, Tick) and message.late:
+            if message.episode == self._join.episode and "hider" in message.late:
+                self._controller.forget_primitive()
+            return ()
         if not isinstance(message, Episode):
             complete = self._join.add(received.key, message)
         elif message.phase == "setup" or (message.phase == "running" and message.episode != self._join.episode):
@@ -125,8 +135,8 @@ class PlannerCore:
             return [*sends, *self._drive()]
         if self._pending is None:
             if self._settings.map == "privileged":
-                if self._layout is None:
-                    raise Unexpected("planning with the privileged map, but no layout has been published")
+                if self._layout is None or self._layout.episode != pose.episode:
+                    raise Unexpected(f"planning with the privileged map, but episode {pose.episode} has published no layout")
                 self._controller = Controller(occupancy_of(boxes_of(self._layout)))
             self._controller.observe(view, pose.x, pose.y, int(heading_number(pose.heading)), pose.step)
             self._pending = self._propose(pose, data, now)
@@ -137,7 +147,7 @@ class PlannerCore:
         """Plan a path to every goal that is not blocked, to be judged by the predictor."""
         assert self._episode is not None
         heading = int(heading_number(pose.heading))
-        horizon = max(self._episode.rules.maximum_steps - pose.step, 1)
+        horizon = min(max(self._episode.rules.maximum_steps - pose.step, 1), self._settings.maximum_horizon)
         tree = self._controller.paths_from(pose.x, pose.y, heading)
         paths: dict[int, NDArray[np.float64]] = {}
         for goal in range(GOAL_COUNT):

@@ -11,8 +11,8 @@ from typing import cast
 from schemas import ROBOTS, Command, Control, Episode, Players, Pose, Robot, Rules, Tick
 from services.referee.declaration import DECLARATION
 from vantage.service import SECOND, Arrived, Changed, Publish, Received, Send, Unexpected, Woken
+from vantage.world.arena import CATCH_TOLERANCE
 
-CATCH_TOLERANCE = 1e-9
 _RESTARTED = "the referee was restarted; the setup of this game has its seed and rules"
 
 

@@ -1,5 +1,7 @@
 """Collection: the same seed gives the same game, message for message; every policy plays; plans do not know of catches."""
 
+from dataclasses import replace as replace_settings
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -63,7 +65,7 @@ def test_the_plan_in_force_is_what_happens_until_it_is_replaced(tmp_path: Path) 
     checked = 0
     for game in episodes(read(collect(tmp_path, episodes=6))):
         starts = [*sorted(game.plans), game.steps + 1]
-        for start, end in zip(starts, starts[1:], strict=False):
+        for start, end in pairwise(starts):
             path = np.frombuffer(game.plans[start].path, np.float32).reshape(-1, 3)
             for step in range(start, end):
                 pose = game.poses["hider"][step]
@@ -84,9 +86,7 @@ def test_an_evader_recorded_without_catches_can_be_replayed(tmp_path: Path) -> N
 
 
 def test_collect_runs_in_parallel_and_resumes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    settings = CollectSettings(
-        episodes=4, hider="random", to=tmp_path, block=2, workers=2, rules=Rules(maximum_steps=20)
-    )
+    settings = CollectSettings(episodes=4, hider="random", to=tmp_path, block=2, workers=2, rules=Rules(maximum_steps=20))
     assert main(settings) == 0
     logs = sorted(tmp_path.glob("*.mcap"))
     assert [log_path(settings, range(1, 3)), log_path(settings, range(3, 5))] == logs
@@ -95,6 +95,15 @@ def test_collect_runs_in_parallel_and_resumes(tmp_path: Path, capsys: pytest.Cap
     assert main(settings) == 0
     assert "1 of 2 logs are there already" in capsys.readouterr().out
     assert {path: list(read(path)) for path in logs} == before
+
+
+def test_more_games_are_added_and_other_settings_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings = CollectSettings(episodes=3, hider="random", to=tmp_path, block=2, workers=1, rules=Rules(maximum_steps=20))
+    assert main(settings) == 0
+    assert main(replace_settings(settings, episodes=4)) == 0
+    assert sum(len(list(episodes(read(path)))) for path in tmp_path.glob("*.mcap")) == 4
+    assert main(replace_settings(settings, rules=Rules(maximum_steps=30))) == 2
+    assert "other settings" in capsys.readouterr().err
 
 
 def test_unknown_hiders_and_missing_trajectories_are_clear_errors(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

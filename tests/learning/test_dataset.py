@@ -123,7 +123,7 @@ def test_the_same_logs_give_the_same_training_set_with_any_number_of_workers(
 ) -> None:
     manifest = convert([logs], tmp_path / "again", workers=2, quiet=True)
     assert manifest["hash"] == dataset.hash
-    assert manifest == dataset.manifest
+    assert {**manifest, "commit": ""} == {**dataset.manifest, "commit": ""}
 
 
 @pytest.mark.parametrize(("spoil", "says"), [("missing", "vantage convert"), ("version", "version 99"), ("cut", "broken")])

@@ -37,8 +37,15 @@ def test_the_best_clock_beats_every_other_threshold(steps: list[int], horizons: 
     assert right(best_clock(np.array(steps), horizons)) == max(right(threshold) for threshold in range(horizons + 1))
 
 
+def test_examples_of_one_episode_are_drawn_together() -> None:
+    truth = np.arange(1000) < 800
+    alone = bootstrap_interval(np.ones(1000, np.bool_), truth, np.arange(1000))
+    together = bootstrap_interval(np.ones(1000, np.bool_), truth, np.arange(1000) // 10)
+    assert together[1] - together[0] > 2.5 * (alone[1] - alone[0])
+
+
 def test_the_bootstrap_interval_has_the_width_of_the_binomial() -> None:
     truth = np.arange(1000) < 800
-    low, high = bootstrap_interval(np.ones(1000, np.bool_), truth)
+    low, high = bootstrap_interval(np.ones(1000, np.bool_), truth, np.arange(1000))
     assert low == pytest.approx(0.8 - 1.96 * np.sqrt(0.16 / 1000), abs=0.005)
     assert high == pytest.approx(0.8 + 1.96 * np.sqrt(0.16 / 1000), abs=0.005)

@@ -241,6 +241,31 @@ def test_a_refused_move_is_remembered_and_driven_around(heading: int) -> None:
     assert changes > 1
 
 
+def test_a_command_that_came_late_is_no_obstacle() -> None:
+    play = Play(seed=4, layout="lab", steps=60)
+    (ask,) = play.take(play.pending)
+    play.take(play.answer(ask, far_from_the_origin))
+    for step in range(12):  # every command comes too late, the robot never moves
+        play.planner.step(Arrived("tick", Tick(stamp=5, episode=1, step=step, late=("hider",))), 5)
+        world = play.simulator.step(Arrived("tick", Tick(stamp=5, episode=1, step=step, late=("hider", "seeker"))), 5)
+        play.take(play.show(world, step + 1))
+    assert len(play.plans) == 1, "nothing was bumped into, so the path stays"
+
+
+def test_a_long_game_is_planned_as_far_as_f_and_t_reach() -> None:
+    play = Play(steps=5000)
+    (ask,) = play.take(play.pending)
+    assert isinstance(ask.request, PredictRequest)
+    assert ask.request.path_steps == 400 and len(ask.request.horizons) == 40
+    play.take(play.answer(ask, far_from_the_origin))
+    assert play.plans[0].horizon == 400
+
+
+def test_settings_without_sense_are_refused_at_the_start() -> None:
+    with pytest.raises(ValueError, match="checkpoint-interval"):
+        PlannerCore(PlannerSettings(checkpoint_interval=0))
+
+
 def test_it_leaves_episodes_of_other_hiders_alone() -> None:
     from schemas import Players
 

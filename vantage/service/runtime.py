@@ -41,6 +41,14 @@ MOST_INPUTS = 200
 """Keys that health tells apart; a raw service counts further ones together, as `**`."""
 
 
+_WALL_MINUS_STEADY = time.time_ns() - time.monotonic_ns()
+
+
+def steady_clock() -> int:
+    """Return ns since the Unix epoch as it was when the process started: the clock that timers need never steps back."""
+    return time.monotonic_ns() + _WALL_MINUS_STEADY
+
+
 @dataclass(slots=True)
 class _Input:
     """Running counts of one input, reported in health."""
@@ -63,7 +71,7 @@ class Runtime:
 
     core: Core
     bus: Bus
-    clock: Callable[[], int] = time.time_ns
+    clock: Callable[[], int] = steady_clock
     health: bool = True
     _inputs: dict[str, _Input] = field(default_factory=dict)
     _unexpected: int = 0

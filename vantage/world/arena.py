@@ -35,6 +35,8 @@ TURN: Final = math.radians(10.0)
 """Angle of one `left` or `right`, rad (10 degrees)."""
 
 CATCH_DISTANCE: Final = 0.150
+CATCH_TOLERANCE: Final = 1e-9
+"""m; so that a seeker that stands at exactly the catch distance, up to rounding, has caught."""
 
 STAY: Final = PRIMITIVES.index("stay")
 FORWARD: Final = PRIMITIVES.index("forward")

@@ -11,15 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from vantage.compiled import kernel
-from vantage.world.arena import HIDER, SEEKER
+from vantage.world.arena import CATCH_TOLERANCE, HIDER, SEEKER
 from vantage.world.camera import render_picture
 from vantage.world.motion import apply_primitive, discs_overlap, heading_radians
 
 Floats = npt.NDArray[np.float64]
-
-CATCH_TOLERANCE = 1e-9
-"""m; so that a seeker that stands at exactly the catch distance, up to rounding, has caught."""
-
 
 @kernel
 def move_both(
