@@ -11,7 +11,7 @@ from learning.process_replay import replay_service
 from learning.verify import VerifySettings, check_game, main
 from schemas import GOAL_COUNT, Command, Message, Rules, encode
 from tests.log.making import write_log
-from vantage.log import Record, read
+from vantage.log import LogWriter, Record, read
 from vantage.log.episodes import EpisodeLog, episodes
 
 Change = Callable[[Message], Message | None]
@@ -117,3 +117,10 @@ def test_verify_says_no_with_its_exit_code(log: Path, capsys: pytest.CaptureFixt
     # The planner did not drive this hider: replayed, it says nothing.
     assert main(VerifySettings(log)) == 1
     assert "NO" in capsys.readouterr().out
+
+
+def test_a_log_without_a_game_is_not_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with LogWriter(tmp_path / "empty.mcap", {}, sync=False):
+        pass
+    assert main(VerifySettings(tmp_path / "empty.mcap")) == 1
+    assert "holds none" in capsys.readouterr().out
