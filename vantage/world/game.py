@@ -17,6 +17,7 @@ from vantage.world.motion import apply_primitive, discs_overlap, heading_radians
 
 Floats = npt.NDArray[np.float64]
 
+
 @kernel
 def move_both(
     boxes: Floats,
