@@ -70,13 +70,15 @@ def probe(bus: InProcessNetwork, name: str, **declared: tuple[str, ...]) -> tupl
     return core, Runtime(core, bus.session(name), bus.clock, health=False)
 
 
-@pytest.mark.parametrize("order", list(permutations(range(4))))
+# One publisher's messages stay in order, so 0 comes before 2 and 1 before 3.
+ORDERS = [order for order in permutations(range(4)) if order.index(0) < order.index(2) and order.index(1) < order.index(3)]
+
+
+@pytest.mark.parametrize("order", ORDERS)
 def test_join_completes_a_step_in_any_order(order: tuple[int, ...]) -> None:
     join = StepJoin(KEYS)
     join.begin(1)
     messages = [("hider/pose", pose(1, 0)), ("tick", tick(1, 0)), ("hider/pose", pose(1, 1)), ("tick", tick(1, 1))]
-    if order.index(0) > order.index(2) or order.index(1) > order.index(3):
-        pytest.skip("one publisher's messages stay in order")
     complete = [joined for index in order if (joined := join.add(*messages[index])) is not None]
     assert complete[-1] == (pose(1, 1), tick(1, 1))
     assert all(joined[0].step == joined[1].step for joined in complete)
