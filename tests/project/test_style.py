@@ -27,6 +27,6 @@ def test_files_stay_readable(room: str) -> None:
     long = {
         str(path.relative_to(ROOT)): count
         for path in (ROOT / room).rglob("*.py")
-        if (count := len(path.read_text().splitlines())) > 600
+        if (count := len(path.read_text().splitlines())) > 400
     }
-    assert not long, f"more than 600 lines: {long}"
+    assert not long, f"more than 400 lines: {long}"
