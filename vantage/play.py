@@ -164,7 +164,7 @@ def sentence(game: Game) -> str:
     episode = game.episode
     if episode.phase == "aborted":
         return f"game {episode.episode} (seed {episode.seed}): aborted at step {episode.step}: {episode.reason}"
-    ending = f"caught at step {episode.caught_step}" if episode.outcome == "caught" else f"survived {episode.step} steps"
+    ending = f"was caught at step {episode.caught_step}" if episode.outcome == "caught" else f"survived {episode.step} steps"
     plan = "" if game.planned is None else f", planned in {game.planned:.2f} s, goal {game.goal}"
     return f"game {episode.episode} (seed {episode.seed}): the hider {ending}{plan}"
 
