@@ -34,6 +34,7 @@ from services.simulator.core import SimulatorCore, SimulatorSettings
 from vantage.log import LogWriter, RunMetadata, open_log, read, source_commit
 from vantage.play import SeekerPreset
 from vantage.service import Core
+from vantage.world.layout import ImpossibleLayout, make_layout
 
 EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
 EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
@@ -75,6 +76,11 @@ def main(settings: CollectSettings) -> int:
     """Collect; returns the exit code."""
     if settings.hider not in HIDERS:
         print(f"there is no hider `{settings.hider}`; the table has {', '.join(HIDERS)}", file=sys.stderr)
+        return 2
+    try:
+        make_layout(settings.rules.layout, settings.seed)
+    except ImpossibleLayout as error:
+        print(error, file=sys.stderr)
         return 2
     trajectories: Trajectories = ()
     if settings.hider == "replay":

@@ -151,10 +151,13 @@ def convert(sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = F
 
     Raises:
         FileNotFoundError: there are no logs.
-        UnusableDataset: `to` exists and is no training set: it is not replaced.
+        UnusableDataset: no logs are named, or no game in them can serve, or `to` exists and is no training set: then it is
+            not replaced.
     """
     if to.exists() and not (to / "manifest.json").is_file() and not _is_empty_folder(to):
         raise UnusableDataset(f"{to} exists and is no training set, so it is not replaced: choose another --to")
+    if not (sources := tuple(sources)):
+        raise UnusableDataset("name the logs: vantage convert logs/ --to dataset/")
     logs = sorted({tuple(parts) for source in sources for parts in find_logs(source)})
     partial = to.with_name(to.name + ".partial")
     shutil.rmtree(partial, ignore_errors=True)
@@ -206,6 +209,10 @@ def convert(sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = F
         "logs": {parts[0].name: result[3] for (parts, _), result in zip(tasks, results, strict=True)},
     }
     (partial / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
+    if not len(tables["steps"]):
+        shutil.rmtree(partial)
+        why = ", ".join(f"{count} {reason}" for reason, count in left_out.items()) or "they hold none"
+        raise UnusableDataset(f"no game in {len(tasks)} logs can serve ({why}); {to} is left as it was")
     shutil.rmtree(to, ignore_errors=True)
     partial.rename(to)
     return manifest

@@ -179,4 +179,4 @@ def _tell_prediction(event: Reply) -> None:
     reply = event.decode()
     assert isinstance(reply, PredictReply)
     caught = np.frombuffer(reply.caught, np.float32)
-    console.print(f"    on this plan it expects to be caught by the end with {caught[-1]:.0%}")
+    console.print(f"    its risk to be caught on the way there: {caught[-1]:.0%}")

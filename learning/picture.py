@@ -96,11 +96,11 @@ def draw(game: Game, path: Path) -> None:
         top, bottom = figure.add_subplot(strip[0, column]), figure.add_subplot(strip[1, column])
         if step in game.predicted:
             view, caught = game.predicted[step]
-            top.imshow(view, interpolation="nearest")
-            top.set_title(f"step {step}: caught by then {caught:.0%}", fontsize=10)
+            top.imshow(in_the_colors_of_the_robots(view), interpolation="nearest")
+            top.set_title(f"step {step}: {caught:.0%} risk to be caught", fontsize=10)
         true, when = _true_view(log, step)
         if true is not None:
-            bottom.imshow(true, interpolation="nearest")
+            bottom.imshow(in_the_colors_of_the_robots(true), interpolation="nearest")
             bottom.set_title(when, fontsize=10)
         for axes in (top, bottom):
             axes.set_xticks([])
@@ -108,10 +108,19 @@ def draw(game: Game, path: Path) -> None:
         if column == 0:
             top.set_ylabel("predicted by the hider\nat its first look", fontsize=11)
             bottom.set_ylabel("true: what the\nseeker saw", fontsize=11)
-    meaning = "seeker's views from above: white = it sees free floor, blue = it does not see, green = the seeker, red = the hider"
+    seen = "seeker's views from above: white = it sees free floor, blue = it does not see"
+    meaning = f"{seen}, green = the hider, red = the seeker; a prediction blurs what is uncertain"
     figure.text(0.045, 0.008, meaning, fontsize=10, color="0.35")
     path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path)
+
+
+def in_the_colors_of_the_robots(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return a seeker's view [128, 128, 3] with hider and seeker in the colours that they have in the arena above.
+
+    The palette paints a robot's own disc green and the other's red, whoever looks; here the seeker looks.
+    """
+    return view[..., [1, 0, 2]]
 
 
 def _draw_arena(axes: Axes, log: EpisodeLog) -> None:

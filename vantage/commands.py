@@ -17,7 +17,7 @@ from rich.live import Live
 from rich.markup import escape
 from rich.table import Table
 
-from vantage.deployment import Deployment, DeploymentError, deployments
+from vantage.deployment import Deployment, DeploymentError, configuration_of, deployments
 from vantage.watch import HealthWatch, Verdict
 
 console = Console(highlight=False)
@@ -182,6 +182,7 @@ def logs(settings: Logs) -> int:
 
 def down(settings: Down) -> int:
     """Stop a deployment."""
+    configuration_of(settings.deployment)  # a misspelt name must not stop another deployment
     deployment = settings.find()
     if deployment.stop():
         console.print(f"{settings.deployment} is down")

@@ -205,7 +205,13 @@ def wish(seed: int, games: int, rules: Rules, players: Players) -> Control:
         DeploymentError: nobody could play such a game.
     """
     if Path(rules.layout).is_file():
+        from vantage.world.layout import ImpossibleLayout, make_layout  # kernels: only who brings a file waits for them
+
         rules = msgspec.structs.replace(rules, layout=str(Path(rules.layout).absolute()))
+        try:
+            make_layout(rules.layout, seed)
+        except ImpossibleLayout as error:
+            raise DeploymentError(str(error)) from None
     elif rules.layout not in ("random", "lab"):
         raise DeploymentError(f"there is no layout {rules.layout!r}: give `random`, `lab` or the path of a layout file")
     ask = Control(stamp=time.time_ns(), action="start", seed=seed, games=games, rules=rules, players=players)
