@@ -46,7 +46,7 @@ def play(hider: str, first: int, count: int, folder: str, logged: bool) -> int:
     collect.LogWriter = LogWriter if logged else NoLog  # type: ignore[misc]
     settings = CollectSettings(episodes=count, hider=hider, to=Path(folder))
     path = Path(folder) / f"{first}-{logged}.mcap"
-    steps = play_block(settings, range(first, first + count), (), path)
+    steps = play_block(settings, range(first, first + count), path)
     path.unlink()
     return steps
 

@@ -10,7 +10,6 @@ import json
 import multiprocessing
 import sys
 import time
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.queues import Queue
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 import msgspec
 import numpy as np
 import tyro
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -27,6 +27,7 @@ from learning.hiders.policy import HiderPolicy
 from learning.hiders.replay import Trajectories
 from learning.hiders.table import HIDERS
 from learning.in_process import play
+from learning.splits import SPLITS, split_of
 from schemas import PRIMITIVES, Command, Episode, Players, Rules
 from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
@@ -37,6 +38,8 @@ from vantage.service import Core
 from vantage.world.layout import ImpossibleLayout, make_layout
 
 EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
+TrajectoriesBySplit = tuple[Trajectories, Trajectories, Trajectories]
+NO_TRAJECTORIES: TrajectoriesBySplit = ((), (), ())
 EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
 
 
@@ -82,14 +85,22 @@ def main(settings: CollectSettings) -> int:
     except ImpossibleLayout as error:
         print(error, file=sys.stderr)
         return 2
-    trajectories: Trajectories = ()
+    trajectories = NO_TRAJECTORIES
     if settings.hider == "replay":
         if settings.from_logs is None:
             print("`--hider replay` needs the recorded trajectories: --from-logs FOLDER", file=sys.stderr)
             return 2
-        trajectories = tuple(read_trajectories(settings.from_logs))
-        if not trajectories:
+        trajectories = read_trajectories(settings.from_logs)
+        if not any(trajectories):
             print(f"{settings.from_logs} holds no hider trajectory", file=sys.stderr)
+            return 2
+        needed = {split_of(seed) for seed in range(settings.seed, settings.seed + settings.episodes)}
+        if lacking := [SPLITS[split] for split in sorted(needed) if not trajectories[split]]:
+            print(
+                f"{settings.from_logs} holds no trajectory of the splits {', '.join(lacking)}: an episode replays only what was "
+                "recorded in its own split, so that no path is in training and in test; record more games",
+                file=sys.stderr,
+            )
             return 2
     settings.to.mkdir(parents=True, exist_ok=True)
     blocks = [
@@ -166,29 +177,31 @@ def log_path(settings: CollectSettings, block: range) -> Path:
     return settings.to / f"{settings.hider}_{settings.seeker}_{settings.seed + block[0] - 1:07d}.mcap"
 
 
-def read_trajectories(folder: Path) -> Iterator[np.ndarray]:
-    """Yield the hider's primitives (int64 [steps]) of each episode in logs."""
+def read_trajectories(folder: Path) -> TrajectoriesBySplit:
+    """Return the hider's primitives (int64 [steps]) of each episode in logs, by the split of the episode."""
     number = {name: index for index, name in enumerate(PRIMITIVES)}
+    found: tuple[list[NDArray[np.int64]], ...] = ([], [], [])
     for path in sorted(folder.rglob("*.mcap")):
-        episode, primitives = 0, list[int]()
-        for record in read(path, topics=("hider/command",)):
-            command = record.decode()
-            assert isinstance(command, Command)
-            if command.episode != episode and primitives:
-                yield np.array(primitives, np.int64)
-                primitives = []
-            episode = command.episode
-            primitives.append(number[command.primitive])
-        if primitives:
-            yield np.array(primitives, np.int64)
+        primitives: dict[int, list[int]] = {}  # by seed
+        seeds: dict[int, int] = {}
+        for record in read(path, topics=("episode", "hider/command")):
+            message = record.decode()
+            if isinstance(message, Episode):
+                seeds[message.episode] = message.seed
+            elif isinstance(message, Command) and message.episode in seeds:
+                primitives.setdefault(seeds[message.episode], []).append(number[message.primitive])
+        for seed, sequence in primitives.items():
+            found[split_of(seed)].append(np.array(sequence, np.int64))
+    train, validation, test = (tuple(trajectories) for trajectories in found)
+    return train, validation, test
 
 
-def play_block(settings: CollectSettings, block: range, trajectories: Trajectories, path: Path) -> int:
+def play_block(settings: CollectSettings, block: range, path: Path, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES) -> int:
     """Play a block of episodes into one log. Returns the number of steps played."""
 
     def make_policy(episode: Episode) -> HiderPolicy:
         generator = np.random.default_rng([episode.seed, 0x41DE])
-        return HIDERS[settings.hider](episode.rules.maximum_steps, generator, trajectories)
+        return HIDERS[settings.hider](episode.rules.maximum_steps, generator, trajectories[split_of(episode.seed)])
 
     first = settings.seed + block[0] - 1  # episode numbers are seeds, so that they are unique over a whole collection
     referee = RefereeSettings(
@@ -221,7 +234,9 @@ def play_block(settings: CollectSettings, block: range, trajectories: Trajectori
     return steps
 
 
-def _work(settings: CollectSettings, blocks: list[range], trajectories: Trajectories, done: Queue[tuple[int, int]]) -> None:
+def _work(
+    settings: CollectSettings, blocks: list[range], trajectories: TrajectoriesBySplit, done: Queue[tuple[int, int]]
+) -> None:
     for block in blocks:
-        steps = play_block(settings, block, trajectories, log_path(settings, block))
+        steps = play_block(settings, block, log_path(settings, block), trajectories)
         done.put((len(block), steps))

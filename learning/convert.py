@@ -19,7 +19,8 @@ import tyro
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, SPLITS, STEP, UnusableDataset
+from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, STEP, UnusableDataset
+from learning.splits import SPLITS, split_of
 from schemas import ROBOTS
 from vantage.log import find_logs, open_log, source_commit
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
@@ -54,12 +55,6 @@ class Part:
     position_count: int = 0
     images: list[bytes] = field(default_factory=list)
     left_out: Counter[str] = field(default_factory=Counter)
-
-
-def split_of(seed: int) -> int:
-    """Return the split (index into SPLITS) of an episode: 8 in 10 train, 1 validation, 1 test, by a hash of its seed."""
-    tenth = int.from_bytes(hashlib.sha256(f"split {seed}".encode()).digest()[:8], "little") % 10
-    return 0 if tenth < 8 else tenth - 7
 
 
 def convert_games(games: Iterable[EpisodeLog]) -> Part:

@@ -20,18 +20,17 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any, TypeVar
 
 import lz4.block
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.splits import SPLITS, Split
 from schemas import STATE_IMAGE_SIZE
 from vantage.networks.inputs import CHANNELS, render_inputs, render_targets
 
 SCHEMA_VERSION = 1
-SPLITS = ("train", "validation", "test")
-Split = Literal["train", "validation", "test"]
 
 _POSE = [("x", "<f4"), ("y", "<f4"), ("heading", "<f4")]
 EPISODE = np.dtype(

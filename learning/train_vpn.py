@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from learning.dataset import Dataset, Samples, Split, prefetch
+from learning.dataset import Dataset, Samples, prefetch
 from learning.measures import accuracy, area_under_roc, balanced_accuracy
+from learning.splits import Split
 from vantage.log import source_commit
 from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import VptTob

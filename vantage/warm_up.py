@@ -26,7 +26,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         for hider in HIDERS:
             settings = CollectSettings(episodes=1, hider=hider, views=True, rules=Rules(maximum_steps=STEPS, catching=False))
-            play_block(settings, range(1, 2), (), Path(folder) / f"{hider}.mcap")
+            play_block(settings, range(1, 2), Path(folder) / f"{hider}.mcap")
     first = np.zeros(1, np.int64)
     view = np.zeros((1, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE), np.uint8)
     inputs = np.empty((1, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, CHANNELS), np.uint8)

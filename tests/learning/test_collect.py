@@ -10,6 +10,7 @@ from msgspec.structs import replace
 
 from learning.collect import CollectSettings, log_path, main, play_block, read_trajectories
 from learning.hiders.table import HIDERS
+from learning.splits import split_of
 from schemas import Plan, Pose, Rules
 from vantage.log.episodes import episodes
 from vantage.log.reader import read
@@ -18,7 +19,7 @@ from vantage.log.reader import read
 def collect(folder: Path, hider: str = "goal-walk", episodes: int = 3, **rules: object) -> Path:
     settings = CollectSettings(episodes=episodes, hider=hider, to=folder, rules=Rules(maximum_steps=120, **rules))  # type: ignore[arg-type]
     path = folder / f"{hider}.mcap"
-    play_block(settings, range(1, episodes + 1), tuple(np.arange(n) % 5 for n in (30, 200)), path)
+    play_block(settings, range(1, episodes + 1), path, (tuple(np.arange(n) % 5 for n in (30, 200)), (), ()))
     return path
 
 
@@ -78,7 +79,7 @@ def test_the_plan_in_force_is_what_happens_until_it_is_replaced(tmp_path: Path) 
 
 def test_an_evader_recorded_without_catches_can_be_replayed(tmp_path: Path) -> None:
     path = collect(tmp_path, "scripted", catching=False)
-    trajectories = list(read_trajectories(tmp_path))
+    trajectories = [primitives for split in read_trajectories(tmp_path) for primitives in split]
     assert [len(primitives) for primitives in trajectories] == [120] * 3
     poses = [record.decode() for record in read(path, topics=("hider/pose",))]
     assert all(isinstance(pose, Pose) for pose in poses)
@@ -111,3 +112,24 @@ def test_unknown_hiders_and_missing_trajectories_are_clear_errors(tmp_path: Path
     assert "goal-walk" in capsys.readouterr().err
     assert main(CollectSettings(hider="replay", to=tmp_path)) == 2
     assert "--from-logs" in capsys.readouterr().err
+
+
+def test_an_episode_replays_only_what_was_recorded_in_its_own_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Else a path that was learnt from would be judged in a test."""
+    recorded = CollectSettings(
+        episodes=40, hider="random", seed=20, to=tmp_path / "evader", workers=1, rules=Rules(maximum_steps=12)
+    )
+    assert main(recorded) == 0
+    by_split = read_trajectories(tmp_path / "evader")
+    assert [len(split) for split in by_split] == [sum(split_of(seed) == split for seed in range(20, 60)) for split in range(3)]
+    assert all(by_split), "choose seeds that fall into every split"
+    replayed = replace_settings(recorded, hider="replay", to=tmp_path / "replay", from_logs=tmp_path / "evader")
+    assert main(replayed) == 0
+    for split, trajectories in enumerate(read_trajectories(tmp_path / "replay")):
+        own = {tuple(primitives) for primitives in by_split[split]}
+        for primitives in trajectories:
+            assert any(known[: len(primitives)] == tuple(primitives) for known in own)
+    few = replace_settings(recorded, episodes=2, to=tmp_path / "few")
+    assert main(few) == 0
+    assert main(replace_settings(replayed, from_logs=tmp_path / "few", to=tmp_path / "other")) == 2
+    assert "holds no trajectory of the splits" in capsys.readouterr().err

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from learning.collect import CollectSettings, play_block
-from learning.convert import convert, split_of
+from learning.convert import convert
 from learning.dataset import SPLITS, Batch, Dataset, Samples, UnusableDataset, prefetch
+from learning.splits import split_of
 from schemas import Rules
 from vantage.log import read
 from vantage.log.episodes import EpisodeLog, episodes
@@ -22,7 +23,7 @@ GAMES = 12
 
 def play(folder: Path, hider: str, first: int, count: int, **rules: object) -> None:
     settings = CollectSettings(hider=hider, seed=first, rules=Rules(maximum_steps=T, **rules))  # type: ignore[arg-type]
-    play_block(settings, range(1, count + 1), (), folder / f"{hider}_{first}.mcap")
+    play_block(settings, range(1, count + 1), folder / f"{hider}_{first}.mcap")
 
 
 @pytest.fixture(scope="module")

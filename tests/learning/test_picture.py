@@ -18,7 +18,7 @@ def game_with_predictions(folder: Path) -> Path:
     """A real game's log, with a question for predicted views and an answer of plain colours behind it."""
     played, path = folder / "played.mcap", folder / "game.mcap"
     settings = CollectSettings(episodes=1, hider="goal-walk", to=folder, views=True, rules=Rules(maximum_steps=60))
-    play_block(settings, range(3, 4), (), played)
+    play_block(settings, range(3, 4), played)
     records = list(read(played))
     decoded = [record.decode() for record in records]
     view = next(message for message in decoded if isinstance(message, StateImage))

@@ -28,7 +28,7 @@ SMALL = replace(PRESETS["compact"], network=VptTobSettings(width=0.25, whole_ima
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("training")
     settings = CollectSettings(hider="goal-walk", seed=52, rules=Rules(maximum_steps=40))  # seeds of all three splits
-    play_block(settings, range(1, 31), (), folder / "log.mcap")
+    play_block(settings, range(1, 31), folder / "log.mcap")
     convert([folder / "log.mcap"], folder / "dataset", workers=1, quiet=True)
     return Dataset(folder / "dataset")
 

@@ -20,7 +20,7 @@ Change = Callable[[Message], Message | None]
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("verify") / "game.mcap"
-    play_block(CollectSettings(hider="goal-walk", views=True, rules=Rules(maximum_steps=40)), range(3, 4), (), path)
+    play_block(CollectSettings(hider="goal-walk", views=True, rules=Rules(maximum_steps=40)), range(3, 4), path)
     return path
 
 

@@ -60,7 +60,7 @@ def test_the_layout(tmp_path: Path) -> None:
     boxes = make_layout(str(path), seed=1)
     assert len(boxes) == 3
     settings = CollectSettings(episodes=1, hider="goal-walk", rules=Rules(maximum_steps=5, catching=False, layout=str(path)))
-    assert play_block(settings, range(1, 2), (), tmp_path / "game.mcap") == 5
+    assert play_block(settings, range(1, 2), tmp_path / "game.mcap") == 5
 
 
 def test_the_hider_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -70,7 +70,7 @@ def test_the_hider_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     (row,) = re.findall(r"The row: `\"turner\": (.*),`", PAGE.read_text())
     monkeypatch.setitem(HIDERS, "turner", eval(row, names))
     settings = CollectSettings(episodes=2, hider="turner", rules=Rules(maximum_steps=8, catching=False))
-    play_block(settings, range(1, 3), (), tmp_path / "game.mcap")
+    play_block(settings, range(1, 3), tmp_path / "game.mcap")
     played: dict[int, set[str]] = {}
     for record in read(tmp_path / "game.mcap", topics=("hider/command",)):
         command = record.decode()
