@@ -116,9 +116,8 @@ def test_unknown_hiders_and_missing_trajectories_are_clear_errors(tmp_path: Path
 
 def test_an_episode_replays_only_what_was_recorded_in_its_own_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Else a path that was learnt from would be judged in a test."""
-    recorded = CollectSettings(
-        episodes=40, hider="random", seed=20, to=tmp_path / "evader", workers=1, rules=Rules(maximum_steps=12)
-    )
+    rules = Rules(maximum_steps=12, catching=False)
+    recorded = CollectSettings(episodes=40, hider="random", seed=20, to=tmp_path / "evader", workers=1, rules=rules)
     assert main(recorded) == 0
     by_split = read_trajectories(tmp_path / "evader")
     assert [len(split) for split in by_split] == [sum(split_of(seed) == split for seed in range(20, 60)) for split in range(3)]
