@@ -26,6 +26,7 @@ import lz4.block
 import numpy as np
 from numpy.typing import NDArray
 
+from learning.methods.method import Questions
 from learning.splits import SPLITS, Split
 from schemas import STATE_IMAGE_SIZE
 from vantage.networks.inputs import CHANNELS, render_inputs, render_targets
@@ -205,6 +206,18 @@ class Dataset:
         render_inputs(views[0], np.arange(count), self.positions, first, samples.horizon, samples.symmetry, inputs)
         render_targets(views[1], samples.symmetry, targets, discs)
         return Batch(inputs, targets, discs, samples.caught, samples)
+
+    def questions(self, samples: Samples) -> Questions:
+        """Return what `render` shows of samples, as questions for a method; symmetries are not applied."""
+        now = self.episodes["first_step"][samples.episode] + samples.start
+        seen, view_of = np.unique(now, return_inverse=True)
+        views = np.empty((len(seen), _SIZE, _SIZE), np.uint8)
+        for number, step in enumerate(seen):
+            views[number] = np.frombuffer(self.image(int(step), 0), np.uint8).reshape(_SIZE, _SIZE)
+        plans = self.plans[self.steps["plan"][now]]
+        first = plans["first_position"] + samples.start - plans["start"]
+        last = plans["first_position"] + plans["positions"] - 1
+        return Questions(views, view_of.astype(np.int64), self.positions, first, last, samples.horizon)
 
     def batches(self, samples: Samples, size: int) -> Iterator[Batch]:
         """Render samples batch by batch, the last one smaller where `size` does not divide them."""
