@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from vantage.networks.weights import ModelCard
+if TYPE_CHECKING:  # a training set is opened without torch
+    from vantage.networks.weights import ModelCard
 
 
 @dataclass(frozen=True)
 class Questions:
-    """B questions: is the hider, who saw views[view_of[b]] and drives the plan whose positions begin (now) at row first[b] and end at
-    row last[b], caught horizons[b] steps from now?"""
+    """B questions: is the hider, who saw views[view_of[b]] and drives the plan whose positions begin (now) at row first[b] and
+    end at row last[b], caught horizons[b] steps from now?"""
 
     views: NDArray[np.uint8]  # [V, 128, 128] palette indices
     view_of: NDArray[np.int64]  # [B] row of `views`
