@@ -8,8 +8,8 @@ import pytest
 import torch
 
 from vantage.networks.vpn import Vpn, VpnSettings
-from vantage.networks.vpt_tob import VptTob, VptTobSettings
-from vantage.networks.weights import UnusableWeights, card_of, card_path, load, read_card, save
+from vantage.networks.vpt_tob import SelfPerspective, VptTob, VptTobSettings
+from vantage.networks.weights import ARCHITECTURES, UnusableWeights, card_of, card_path, load, load_any, read_card, save
 
 SMALL = VptTobSettings(width=0.25, whole_image=True, caught_head=True)
 
@@ -88,3 +88,22 @@ def test_damaged_tensors_under_a_matching_card_are_refused(weights: Path) -> Non
     change_card(weights, sha256=hashlib.sha256(weights.read_bytes()).hexdigest())
     with pytest.raises(UnusableWeights, match="do not fit"):
         load(weights, VptTob)
+
+
+@pytest.mark.parametrize("name", ["vpt-tob", "vpn"])
+def test_the_released_weights_load(name: str) -> None:
+    network, card = load_any(Path(__file__).parents[2] / "weights" / f"{name}.safetensors")
+    assert network.architecture == card.architecture == name
+
+
+def test_every_architecture_comes_back_and_none_is_taken_for_another(tmp_path: Path) -> None:
+    for name, (make, settings) in ARCHITECTURES.items():
+        network = make(settings())
+        assert network.architecture == name
+        save(network, tmp_path / f"{name}.safetensors", card_of(network))
+        again, card = load_any(tmp_path / f"{name}.safetensors")
+        assert type(again) is make and again.settings == network.settings and card.architecture == name
+    with pytest.raises(UnusableWeights, match="holds a self-perspective network, wanted is vpt-tob"):
+        load(tmp_path / "self-perspective.safetensors", VptTob)
+    with pytest.raises(UnusableWeights, match="holds a vpt-tob network, wanted is self-perspective"):
+        load(tmp_path / "vpt-tob.safetensors", SelfPerspective)

@@ -90,31 +90,40 @@ class WholeImage(nn.Module):
         return x + self.from_four(four + self.from_two(self.to_two(four)))
 
 
-class VptTob(nn.Module):
-    """The network. `forward` gives the predicted seeker view, [B, 3, 128, 128] in 0 .. 1."""
+class ViewPredictor(nn.Module):
+    """What all networks that predict a view share: encoder, bottleneck of 8 x 8, decoder, auxiliary head.
 
-    architecture = "vpt-tob"
+    Args:
+        settings: shape of the network.
+        channels: of the input picture.
+        embedded: channels that a subclass joins to the bottleneck before it is decoded.
+    """
 
-    def __init__(self, settings: VptTobSettings | None = None) -> None:
+    architecture = ""
+
+    def __init__(self, settings: VptTobSettings, channels: int, embedded: int = 0) -> None:
         super().__init__()
-        self.settings = settings or VptTobSettings()
-        c = [_scaled(channels, self.settings.width) for channels in self.settings.encoder]
+        self.settings = settings
+        c = [_scaled(wide, settings.width) for wide in settings.encoder]
         self.encoder = nn.ModuleList(
-            [Stage(CHANNELS, c[0], c[1]), Stage(c[1], c[2], c[3]), Stage(c[3], c[4], c[5]), Stage(c[5], c[6], c[7])]
+            [Stage(channels, c[0], c[1]), Stage(c[1], c[2], c[3]), Stage(c[3], c[4], c[5]), Stage(c[5], c[6], c[7])]
         )
-        self.context = WholeImage(c[7]) if self.settings.whole_image else nn.Identity()
-        up = [_scaled(channels, self.settings.width) for channels in self.settings.decoder]
-        self.ups = nn.ModuleList([Up(c[7], up[0]), Up(up[0] + 3, up[1]), Up(up[1] + 3, up[2])])
-        self.coarse = nn.ModuleList([CoarseView(c[7]), CoarseView(up[0] + 3), CoarseView(up[1] + 3)])
+        self.context = WholeImage(c[7]) if settings.whole_image else nn.Identity()
+        up, bottom = [_scaled(wide, settings.width) for wide in settings.decoder], c[7] + embedded
+        self.ups = nn.ModuleList([Up(bottom, up[0]), Up(up[0] + 3, up[1]), Up(up[1] + 3, up[2])])
+        self.coarse = nn.ModuleList([CoarseView(bottom), CoarseView(up[0] + 3), CoarseView(up[1] + 3)])
         self.view = nn.ConvTranspose2d(up[2] + 3, 3, 4, 2, 1)
         self.head = (
-            nn.Sequential(nn.Conv2d(c[7], 16, 1), nn.ReLU(), nn.Flatten(), nn.Linear(16 * 8 * 8, 64), nn.ReLU(), nn.Linear(64, 1))
-            if self.settings.caught_head
+            nn.Sequential(
+                *(nn.Conv2d(bottom, 16, 1), nn.ReLU(), nn.Flatten(), nn.Linear(16 * 8 * 8, 64), nn.ReLU(), nn.Linear(64, 1))
+            )
+            if settings.caught_head
             else None
         )
 
-    def encode(self, x: Tensor) -> Tensor:
-        """[B, 7, 128, 128] in 0 .. 1 -> bottleneck [B, C, 8, 8]."""
+    def encode(self, *shown: Tensor) -> Tensor:
+        """The input picture [B, channels, 128, 128] in 0 .. 1 -> bottleneck [B, C, 8, 8]."""
+        x = shown[0]
         for stage in self.encoder:
             x = stage(x)
         return self.context(x)
@@ -125,11 +134,30 @@ class VptTob(nn.Module):
             x = torch.cat([up(x), coarse(x)], dim=1)
         return self.view(x)
 
-    def forward(self, x: Tensor) -> Tensor:
-        return torch.sigmoid(self.decode(self.encode(x)))
+    def forward(self, *shown: Tensor) -> Tensor:
+        """What the network is shown -> the predicted view, [B, 3, 128, 128] in 0 .. 1."""
+        return torch.sigmoid(self.decode(self.encode(*shown)))
 
-    def forward_with_head(self, x: Tensor) -> tuple[Tensor, Tensor | None]:
+    def forward_with_head(self, *shown: Tensor) -> tuple[Tensor, Tensor | None]:
         """The view, and the auxiliary caught logit [B] (None without the head)."""
-        bottleneck = self.encode(x)
-        caught = None if self.head is None else self.head(bottleneck).squeeze(1)
-        return torch.sigmoid(self.decode(bottleneck)), caught
+        bottleneck = self.encode(*shown)
+        return torch.sigmoid(self.decode(bottleneck)), self.judge(bottleneck)
+
+    def judge(self, bottleneck: Tensor) -> Tensor | None:
+        """Bottleneck [B, C, 8, 8] -> the auxiliary caught logit [B] (None without the head)."""
+        return None if self.head is None else self.head(bottleneck).squeeze(1)
+
+
+class VptTob(ViewPredictor):
+    """The network. `forward(inputs [B, 7, 128, 128])` gives the predicted seeker view, [B, 3, 128, 128], all in 0 .. 1."""
+
+    architecture = "vpt-tob"
+
+    def __init__(self, settings: VptTobSettings | None = None) -> None:
+        super().__init__(settings or VptTobSettings(), CHANNELS)
+
+
+class SelfPerspective(VptTob):
+    """Baseline: the same network, which predicts the hider's own view. An architecture of its own: neither is taken for the other."""
+
+    architecture = "self-perspective"

@@ -5,25 +5,40 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Protocol, Self, TypeVar
 
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 
+from vantage.networks.vector_action import VectorAction, VectorActionSettings
 from vantage.networks.vpn import Vpn, VpnSettings
-from vantage.networks.vpt_tob import VptTob, VptTobSettings
+from vantage.networks.vpt_tob import SelfPerspective, VptTob, VptTobSettings
 
-Network = VptTob | Vpn
-AnyNetwork = TypeVar("AnyNetwork", VptTob, Vpn)
+
+class Network(Protocol):
+    """A network that can be saved: its settings, a dataclass, are all that it is made from."""
+
+    architecture: str
+    settings: Any
+
+    def state_dict(self) -> dict[str, Any]: ...
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> Any: ...
+    def eval(self) -> Self: ...
+
+
+AnyNetwork = TypeVar("AnyNetwork", bound=Network)
 
 CARD_VERSION = 1
-_SETTINGS: dict[str, type[VptTobSettings] | type[VpnSettings]] = {
-    VptTob.architecture: VptTobSettings,
-    Vpn.architecture: VpnSettings,
+ARCHITECTURES: dict[str, tuple[Callable[[Any], Any], type]] = {  # network, settings
+    "vpt-tob": (VptTob, VptTobSettings),
+    "self-perspective": (SelfPerspective, VptTobSettings),
+    "vector-action": (VectorAction, VectorActionSettings),
+    "vpn": (Vpn, VpnSettings),
 }
 
 
@@ -38,7 +53,7 @@ class ModelCard:
     """What weights are, and how they came to be.
 
     Attributes:
-        architecture: `vpt-tob` or `vpn`.
+        architecture: a row of ARCHITECTURES.
         network: the network's settings.
         sha256: of the safetensors file.
         preset: of the training; `paper` is the paper's recipe.
@@ -132,21 +147,31 @@ def load(path: Path, kind: type[AnyNetwork]) -> tuple[AnyNetwork, ModelCard]:
     Raises:
         UnusableWeights: file or card is missing or broken, they do not belong together, or hold another network than `kind`.
     """
+    return load_any(path, (kind.architecture,))
+
+
+def load_any(path: Path, architectures: Collection[str] = ARCHITECTURES) -> tuple[Any, ModelCard]:
+    """Return the network of a safetensors file, whichever of the architectures its card names, as `load`.
+
+    Raises:
+        UnusableWeights: as `load`.
+    """
+    wanted = " or ".join(architectures)
     try:
         data = path.read_bytes()
     except FileNotFoundError:
-        raise UnusableWeights(f"no weights at {path}: train some (`vantage train {kind.architecture} --help`)") from None
+        raise UnusableWeights(f"no weights at {path}, wanted is {wanted}: train some (`vantage --help` says how)") from None
     except OSError as error:
         raise UnusableWeights(f"the weights {path} cannot be read: {error}") from None
     card = read_card(path)
-    if card.architecture != kind.architecture:
-        raise UnusableWeights(f"{path} holds a {card.architecture} network, wanted is {kind.architecture}")
+    if card.architecture not in architectures:
+        raise UnusableWeights(f"{path} holds a {card.architecture} network, wanted is {wanted}")
     if hashlib.sha256(data).hexdigest() != card.sha256:
         raise UnusableWeights(f"{path} is not the file that its model card {card_path(path)} describes (sha256 differs)")
+    make, settings = ARCHITECTURES[card.architecture]
     try:
-        state = load_tensors(data)
-        network = kind(_SETTINGS[kind.architecture](**_tuples(card.network)))  # type: ignore[arg-type]
-        network.load_state_dict(state)
+        network = make(settings(**_tuples(card.network)))
+        network.load_state_dict(load_tensors(data))
     except (SafetensorError, RuntimeError, TypeError, ValueError, KeyError) as error:
         reason = str(error).splitlines()[0]
         raise UnusableWeights(f"the weights {path} do not fit the network of their card ({reason})") from None
