@@ -158,6 +158,6 @@ class VptTob(ViewPredictor):
 
 
 class SelfPerspective(VptTob):
-    """Baseline: the same network, which predicts the hider's own view. An architecture of its own: neither is taken for the other."""
+    """Baseline: the same network, which predicts the hider's own view. Another architecture: neither is taken for the other."""
 
     architecture = "self-perspective"
