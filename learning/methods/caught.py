@@ -1,0 +1,80 @@
+"""Without predicting a view: networks that say themselves whether the hider is caught."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+from torch import Tensor, nn
+
+from learning.methods.machine import Machine
+from learning.methods.method import Questions
+from learning.methods.shown import Show, action_images
+from learning.methods.survival import caught_logits
+from vantage.networks.inference import folded
+from vantage.networks.vpt_tob import ViewPredictor
+from vantage.networks.weights import ModelCard
+
+SPACING = 10
+"""Steps between two checkpoints of the hazard network (reading, row 14)."""
+
+
+class CaughtAtHorizon:
+    """A network that answers one question at a time: caught at this horizon?
+
+    Args:
+        logits: what `show` renders -> logits [n].
+    """
+
+    def __init__(
+        self, name: str, logits: Callable[..., Tensor], show: Show, cards: dict[str, ModelCard], machine: Machine
+    ) -> None:
+        self.name, self.cards = name, cards
+        self._logits, self._show, self._machine = logits, show, machine
+
+    @classmethod
+    def of_head(cls, name: str, network: ViewPredictor, cards: dict[str, ModelCard], machine: Machine) -> CaughtAtHorizon:
+        """Return the auxiliary caught head of a VPT-TOB as a method of its own: the view is not even decoded."""
+        network = machine.prepared(folded(network))
+
+        def logits(shown: Tensor) -> Tensor:
+            caught = network.judge(network.encode(shown))
+            assert caught is not None, "weights without a caught head"
+            return caught
+
+        return cls(name, logits, action_images, cards, machine)
+
+    def judge(self, questions: Questions) -> NDArray[np.float32]:
+        """Return logits of "caught" [B]."""
+
+        def compute(rows: NDArray[np.int64]) -> Tensor:
+            return self._logits(*self._show(questions, rows, self._machine))
+
+        return self._machine.run(compute, len(questions))
+
+
+class Hazard:
+    """The one-pass hazard network: asked once a plan, it answers for every horizon."""
+
+    def __init__(self, name: str, network: nn.Module, cards: dict[str, ModelCard], machine: Machine) -> None:
+        self.name, self.cards = name, cards
+        self._network, self._machine = machine.prepared(network), machine
+
+    def judge(self, questions: Questions) -> NDArray[np.float32]:
+        """Return logits of "caught" [B]; see `caught_logits` for horizons between and beyond the checkpoints."""
+        plans = np.stack([questions.view_of, questions.first, questions.last], axis=1)
+        _, rows, plan_of = np.unique(plans, axis=0, return_index=True, return_inverse=True)
+        conditional = self.conditional(questions.chosen(rows))
+        return caught_logits(conditional[plan_of.ravel()], questions.horizons, SPACING)
+
+    def conditional(self, plans: Questions) -> NDArray[np.float32]:
+        """Return the logits of the conditional hazards [P, K] of whole plans; their horizons do not matter."""
+        reach = self._network.settings.checkpoints * SPACING  # type: ignore[union-attr,operator]
+        whole = replace(plans, horizons=np.minimum(plans.last - plans.first, reach))
+
+        def compute(rows: NDArray[np.int64]) -> Tensor:
+            return self._network(*action_images(whole, rows, self._machine))
+
+        return self._machine.run(compute, len(plans))
