@@ -1,0 +1,152 @@
+"""`vantage reproduce`: the whole study from nothing, in stages that are not repeated once they are done."""
+
+from __future__ import annotations
+
+import shlex
+import shutil
+import signal
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Literal
+
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
+
+from learning.reproduce.presets import PRESETS
+from learning.reproduce.runner import Progress, Runner, minutes, tail
+from learning.reproduce.stages import Machine, stages_of
+
+TOLD_EVERY = 60.0  # s between lines where the output is no terminal
+
+
+@dataclass(frozen=True)
+class ReproduceSettings:
+    """Redo the paper's simulation study from nothing: data, networks, baselines, Tables I and II, figures, results page.
+
+    Stages that are done are kept, so the same command goes on where it was interrupted.
+
+    Examples:
+      vantage reproduce --preset quick
+      vantage reproduce --preset hours --have reproduction/quick --publish
+      vantage reproduce --preset paper --list
+    """
+
+    preset: Literal["quick", "hours", "paper", "smoke"] = "quick"
+    """`quick`: half an hour on two CPU cores. `hours`: one and a half hours on two cores. `paper`: the paper's scale, for a GPU.
+    `smoke`: a minute; shows that everything runs, and its figures mean nothing."""
+    to: Path | None = None
+    """Folder for everything; default reproduction/PRESET."""
+    have: tuple[Path, ...] = ()
+    """Folders of earlier reproductions: what the very same commands made there from the same data is taken over."""
+    publish: bool = False
+    """Also copy page, figures and results into docs/, and the main networks into weights/."""
+    jobs: int = 0
+    """Trainings at a time; 0 = one for each core, or one on a GPU."""
+    list: bool = False
+    """Only print the commands."""
+
+
+def main(settings: ReproduceSettings) -> int:
+    """Reproduce; returns the exit code."""
+    folder = settings.to or Path("reproduction") / settings.preset
+    preset, machine = PRESETS[settings.preset], Machine.here()
+    stages = stages_of(preset, machine)
+    display = Display(Console(highlight=False))
+    runner = Runner(stages, folder, settings.jobs or (1 if machine.gpu else machine.cores), settings.have, display.show)
+    if settings.list:
+        for stage in stages:
+            print(shlex.join(("vantage", *runner.arguments(stage))))
+        return 0
+    where = "one GPU" if machine.gpu else f"{machine.cores} cores"
+    display.console.print(f"reproduction `{settings.preset}` in {folder}/: {len(stages)} stages on {where}")
+    signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        with display:
+            complete = runner.run()
+    except KeyboardInterrupt:
+        print("interrupted; the same command goes on from here", file=sys.stderr)
+        return 130
+    states = Counter(runner.progress.state.values())
+    if not complete:
+        failed = ", ".join(name for name, state in runner.progress.state.items() if state == "failed")
+        print(
+            f"{states['failed']} stages failed ({failed}), {states['blocked']} could not begin. The logs are in {folder}/logs/; "
+            "mend what they say, then the same command goes on: what is done is kept.",
+            file=sys.stderr,
+        )
+        return 1
+    kept = f"{states['kept']} stages were done before, " if states["kept"] else ""
+    elapsed = minutes(time.monotonic() - runner.progress.began)
+    display.console.print(f"{kept}{states['done'] + states['taken']} made now, in {elapsed}. The page: {folder / 'results.md'}")
+    if settings.publish:
+        publish(folder, preset.groups[0].name, Path())
+        display.console.print("published: docs/results.md, docs/figures/, docs/results/")
+    return 0
+
+
+def publish(folder: Path, group: str, root: Path) -> None:
+    """Copy page, figures and results of a reproduction into docs/ of a checkout."""
+    docs = root / "docs"
+    for part, endings in (("figures", ("*.png", "*.json")), ("results", ("*.json", "*.md"))):
+        target = docs / part
+        shutil.rmtree(target, ignore_errors=True)
+        target.mkdir(parents=True)
+        for path in sorted(path for ending in endings for path in (folder / part).glob(ending)):
+            shutil.copy2(path, target / path.name)
+    shutil.copy2(folder / "results.md", docs / "results.md")
+
+
+def _interrupt(number: int, frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+class Display:
+    """Tells how it goes: a picture that renews itself on a terminal, else a line now and then."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._live = Live(console=console, refresh_per_second=2, transient=True) if console.is_terminal else None
+        self._told = time.monotonic()
+
+    def __enter__(self) -> Display:
+        if self._live:
+            self._live.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._live:
+            self._live.stop()
+
+    def show(self, progress: Progress, event: str) -> None:
+        """Show the state; `event` is a line to keep, or empty."""
+        if event:
+            self.console.print(f"[{_clock(time.monotonic() - progress.began)}] {event}", markup=False, soft_wrap=True)
+        if self._live:
+            self._live.update(Group(*(Text(line, no_wrap=True, overflow="ellipsis") for line in lines_of(progress))))
+        elif not event and time.monotonic() - self._told > TOLD_EVERY:
+            self._told = time.monotonic()
+            self.console.print("\n".join(lines_of(progress)), markup=False, soft_wrap=True)
+
+
+def lines_of(progress: Progress) -> list[str]:
+    """Return how a reproduction stands, in a line, and a line for each process that runs."""
+    elapsed = _clock(time.monotonic() - progress.began)
+    head = f"[{elapsed}] {progress.finished} of {len(progress.stages)} stages done, about {minutes(progress.left())} left"
+    number = {stage.name: index + 1 for index, stage in enumerate(progress.stages)}
+    return [
+        head,
+        *(
+            f"   stage {number[running.stage.name]}, {running.stage.name}, {minutes(time.monotonic() - running.began)}: "
+            + "".join(tail(running.log, 1)).strip()
+            for running in progress.running
+        ),
+    ]
+
+
+def _clock(seconds: float) -> str:
+    return f"{int(seconds) // 3600}:{int(seconds) // 60 % 60:02d}:{int(seconds) % 60:02d}"

@@ -1,0 +1,169 @@
+"""How large a reproduction is: one table of presets. Times are for two free CPU cores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+Model = Literal["vpt-tob", "self-perspective", "vector-action", "whole-image", "coordinate-path", "coordinate-end", "hazard"]
+VIEW_MODELS: tuple[Model, ...] = ("vpt-tob", "self-perspective", "vector-action", "whole-image")
+"""Predict a view, which a VPN then judges; the others say caught or not themselves."""
+COMPARED: tuple[Model, ...] = ("vpt-tob", "self-perspective", "vector-action", "hazard", "coordinate-path", "coordinate-end")
+"""Equal data and an equal number of samples: Table I and the network that goes beyond the paper."""
+
+NetworkPreset = Literal["paper", "whole-image", "compact"]
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of data.
+
+    Attributes:
+        seeker: preset of the seeker.
+        layout: of the arena.
+        steps: T, the longest game.
+        games: to train, validate and test on.
+    """
+
+    seeker: str
+    layout: str
+    steps: int
+    games: tuple[int, int, int]
+
+    @property
+    def name(self) -> str:
+        return f"{self.seeker}-{self.layout}-{self.steps}"
+
+
+@dataclass(frozen=True)
+class Group:
+    """Networks trained on the same data with the same number of samples, in one folder of weights.
+
+    Attributes:
+        name: of the folder, and of the row on the results page.
+        models: which networks.
+        networks: preset of networks and recipes.
+        samples: each network sees.
+        vpn: images and epochs of each VPN; None = as its preset has it.
+        drop: factor of the learning rate at each drop; None = as the preset has it.
+        kind: name of the kind of data; empty = the main one.
+        maps: judge its value maps, too.
+    """
+
+    name: str
+    models: tuple[Model, ...]
+    networks: NetworkPreset
+    samples: int
+    vpn: tuple[int, int] | None = None
+    drop: float | None = None
+    kind: str = ""
+    maps: bool = False
+
+
+@dataclass(frozen=True)
+class Preset:
+    """The size of everything.
+
+    Attributes:
+        main: kind of data that everything compared is trained and judged on.
+        others: kinds that the compared networks are judged on without having seen them.
+        groups: the first one is Table I.
+        examples: unseen examples for each horizon: the paper's number and one for a tight interval.
+        horizons: T of the examples.
+        oracle: simulations for each example, from the true state.
+        starts: arenas whose value maps are judged.
+        map_horizons: T of the value maps.
+        seed: of the first game; everything else is seeded by its own options' defaults.
+    """
+
+    main: Kind
+    others: tuple[Kind, ...]
+    groups: tuple[Group, ...]
+    examples: tuple[int, ...]
+    horizons: tuple[int, ...]
+    oracle: int
+    starts: int
+    map_horizons: tuple[int, ...]
+    seed: int = 1
+
+
+_PAPER_GAMES = (4500, 500, 500)
+_MAIN = Kind("glancing", "random", 200, _PAPER_GAMES)
+
+
+def _rates(samples: int, networks: NetworkPreset, model: Model) -> tuple[Group, ...]:
+    """Return the ablation of the learning rate: "decrease the learning rate by 10 %" read as x0.9, x0.5 and x0.1."""
+    return tuple(Group(f"drop-{drop:g}", (model,), networks, samples, drop=drop) for drop in (0.9, 0.5, 0.1))
+
+
+def _other_kinds(games: tuple[int, int, int]) -> tuple[Kind, ...]:
+    return (
+        Kind("expert", "random", 200, games),
+        Kind("glancing", "lab", 200, games),
+        Kind("expert", "lab", 200, games),
+        Kind("glancing", "random", 350, games),
+    )
+
+
+PRESETS: dict[str, Preset] = {
+    # Some 25 minutes: the paper's number of games, small networks that see few samples.
+    "quick": Preset(
+        main=_MAIN,
+        others=(),
+        groups=(
+            Group("compared", COMPARED, "compact", 50_000, vpn=(8_000, 6), maps=True),
+            *_rates(12_000, "paper", "hazard"),
+        ),
+        examples=(1_000, 4_000),
+        horizons=(100, 200),
+        oracle=20,
+        starts=20,
+        map_horizons=(200, 250, 300, 350),
+    ),
+    # Some 90 minutes.
+    "hours": Preset(
+        main=_MAIN,
+        others=_other_kinds((300, 50, 300))[:3],
+        groups=(
+            Group("compared", COMPARED, "compact", 150_000, maps=True),
+            Group("longer", ("vpt-tob", "hazard"), "compact", 800_000, maps=True),
+            Group("paper-network", ("vpt-tob", "whole-image"), "paper", 100_000),
+            *_rates(50_000, "paper", "hazard"),
+        ),
+        examples=(1_000, 10_000),
+        horizons=(100, 200),
+        oracle=50,
+        starts=50,
+        map_horizons=(200, 250, 300, 350),
+    ),
+    # The paper's scale: a sitting on a GPU, a night and a day on two cores.
+    "paper": Preset(
+        main=_MAIN,
+        others=_other_kinds(_PAPER_GAMES),
+        groups=(
+            Group("compared", (*COMPARED, "whole-image"), "paper", 5_000_000, maps=True),
+            Group("compact", ("vpt-tob", "hazard"), "compact", 5_000_000, maps=True),
+            *(Group(kind.name, ("vpt-tob", "hazard"), "paper", 5_000_000, kind=kind.name) for kind in _other_kinds(_PAPER_GAMES)),
+            *_rates(1_000_000, "paper", "vpt-tob"),
+        ),
+        examples=(1_000, 10_000),
+        horizons=(100, 200),
+        oracle=50,
+        starts=50,
+        map_horizons=(200, 250, 300, 350),
+    ),
+    # Seconds: the tests'.
+    "smoke": Preset(
+        main=Kind("glancing", "random", 40, (40, 10, 10)),
+        others=(),
+        groups=(
+            Group("compared", ("vpt-tob", "self-perspective", "hazard"), "compact", 128, vpn=(64, 1), maps=True),
+            Group("drop-0.5", ("hazard",), "paper", 64, drop=0.5),
+        ),
+        examples=(40,),
+        horizons=(20, 40),
+        oracle=3,
+        starts=2,
+        map_horizons=(40, 60),
+    ),
+}
