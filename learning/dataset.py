@@ -20,7 +20,7 @@ import threading
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Literal, TypeVar
 
 import lz4.block
 import numpy as np
@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from learning.methods.method import Questions
 from learning.splits import SPLITS, Split
 from schemas import STATE_IMAGE_SIZE
+from vantage.networks.action_vector import VECTOR_LENGTH, render_vectors
 from vantage.networks.inputs import CHANNELS, render_inputs, render_targets
 
 SCHEMA_VERSION = 1
@@ -50,6 +51,9 @@ EPISODE = np.dtype(
 )
 STEP = np.dtype([("hider", _POSE), ("seeker", _POSE), ("plan", "<i8")])
 PLAN = np.dtype([("start", "<i4"), ("first_position", "<i8"), ("positions", "<i4")])
+
+Target = Literal["seeker", "hider"]
+"""Whose view at ti is to be predicted."""
 
 _SIZE = STATE_IMAGE_SIZE
 _IMAGE_BYTES = _SIZE * _SIZE
@@ -87,6 +91,7 @@ class Batch:
     inputs: NDArray[np.uint8]  # [B, 128, 128, 7]
     targets: NDArray[np.uint8]  # [B, 128, 128, 3]
     discs: NDArray[np.bool_]  # [B, 128, 128]: target pixels that show a robot
+    vectors: NDArray[np.float32]  # [B, 121], or [B, 0] where they were not asked for
     caught: NDArray[np.bool_]  # [B]
     samples: Samples
 
@@ -187,8 +192,13 @@ class Dataset:
         caught_step = self.episodes["caught_step"][episode]
         return (caught_step >= 0) & (caught_step <= step)
 
-    def render(self, samples: Samples) -> Batch:
-        """Render samples into the arrays that the networks are shown."""
+    def render(self, samples: Samples, target: Target = "seeker", vectors: bool = False) -> Batch:
+        """Render samples into the arrays that the networks are shown.
+
+        Args:
+            target: whose view at ti to predict; either is frozen at the catch.
+            vectors: render the plan as action vectors, too.
+        """
         count = len(samples)
         rows = self.episodes[samples.episode]
         now = rows["first_step"] + samples.start
@@ -197,7 +207,7 @@ class Dataset:
         views = np.empty((2, count, _SIZE, _SIZE), np.uint8)
         for b in range(count):
             views[0, b] = np.frombuffer(self.image(int(now[b]), 0), np.uint8).reshape(_SIZE, _SIZE)
-            views[1, b] = np.frombuffer(self.image(int(end[b]), 1), np.uint8).reshape(_SIZE, _SIZE)
+            views[1, b] = np.frombuffer(self.image(int(end[b]), int(target == "seeker")), np.uint8).reshape(_SIZE, _SIZE)
         plans = self.plans[self.steps["plan"][now]]
         first = plans["first_position"] + samples.start - plans["start"]
         inputs = np.empty((count, _SIZE, _SIZE, CHANNELS), np.uint8)
@@ -205,7 +215,10 @@ class Dataset:
         discs = np.empty((count, _SIZE, _SIZE), np.bool_)
         render_inputs(views[0], np.arange(count), self.positions, first, samples.horizon, samples.symmetry, inputs)
         render_targets(views[1], samples.symmetry, targets, discs)
-        return Batch(inputs, targets, discs, samples.caught, samples)
+        actions = np.empty((count, VECTOR_LENGTH if vectors else 0), np.float32)
+        if vectors:
+            render_vectors(self.positions, first, samples.horizon, samples.symmetry, actions)
+        return Batch(inputs, targets, discs, actions, samples.caught, samples)
 
     def questions(self, samples: Samples) -> Questions:
         """Return what `render` shows of samples, as questions for a method; symmetries are not applied."""
@@ -219,10 +232,10 @@ class Dataset:
         last = plans["first_position"] + plans["positions"] - 1
         return Questions(views, view_of.astype(np.int64), self.positions, first, last, samples.horizon)
 
-    def batches(self, samples: Samples, size: int) -> Iterator[Batch]:
+    def batches(self, samples: Samples, size: int, target: Target = "seeker", vectors: bool = False) -> Iterator[Batch]:
         """Render samples batch by batch, the last one smaller where `size` does not divide them."""
         for first in range(0, len(samples), size):
-            yield self.render(samples.part(first, first + size))
+            yield self.render(samples.part(first, first + size), target, vectors)
 
 
 Item = TypeVar("Item")
