@@ -1,0 +1,1 @@
+"""Value maps against ground truth: what `vantage evaluate maps` measures."""

@@ -1,0 +1,185 @@
+"""All predictors' maps beside the ground truth: what goes into the results, as numbers and as arrays for figures."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.value_maps.heuristics import HEURISTICS, seen_or_centre
+from learning.value_maps.play import BEST, OUTCOMES, UNIFORM, play
+from learning.value_maps.ranking import agreement
+from learning.value_maps.summary import summary
+from learning.value_maps.truth import Case, counted, on_grid
+from services.planner.value_map import choose_goal
+
+COMPARED = ("with_ties", "without_ties", "ties_half", "tau_b")
+ONE_SIMULATION = "one simulation"
+ANOTHER = "another simulation"
+
+Maps = dict[str, NDArray[np.float64]]
+"""Predictor -> value maps [S, H, 121] of S starts at H horizons."""
+
+
+def mean_of(simulations: int) -> str:
+    """Return what the mean over so many simulations is called."""
+    return f"mean of {simulations} simulations"
+
+
+def heuristic_maps(cases: Sequence[Case], horizons: Sequence[int]) -> Maps:
+    """Return the value maps that need no learning; they know no horizon."""
+    return {
+        name: np.stack(
+            [
+                np.tile(on_grid(case.goals, rule(case.hider, seen_or_centre(case.seeker))[case.goals]), (len(horizons), 1))
+                for case in cases
+            ]
+        )
+        for name, rule in HEURISTICS.items()
+    }
+
+
+def simulated_maps(cases: Sequence[Case], horizons: Sequence[int], columns: slice) -> NDArray[np.float64]:
+    """Return the mean V over some columns of the cases' simulations. [S, H, 121]"""
+    return np.stack(
+        [
+            np.stack([on_grid(case.goals, counted(case.caught[:, columns], horizon).mean(axis=1)) for horizon in horizons])
+            for case in cases
+        ]
+    )
+
+
+def ground_truths(cases: Sequence[Case], horizons: Sequence[int]) -> Maps:
+    """Return the true maps: of one simulation with the episode's own seed (the paper's), and the mean of all others."""
+    others = cases[0].caught.shape[1] - 1
+    return {
+        ONE_SIMULATION: simulated_maps(cases, horizons, slice(0, 1)),
+        mean_of(others): simulated_maps(cases, horizons, slice(1, None)),
+    }
+
+
+def references(cases: Sequence[Case], horizons: Sequence[int], truth: str) -> Maps:
+    """Return what simulation says that has nothing in common with a ground truth but the start: the ceiling."""
+    truths = ground_truths(cases, horizons)
+    if truth == ONE_SIMULATION:
+        return {ANOTHER: simulated_maps(cases, horizons, slice(1, 2)), **{k: v for k, v in truths.items() if k != truth}}
+    return {ANOTHER: truths[ONE_SIMULATION]}
+
+
+def reference_of(name: str, against: str) -> str:
+    """Return the predictor that another is compared with: the method `against`, added up in the same way."""
+    return f"{against}, binary" if name.endswith(", binary") else f"{against}, expected"
+
+
+def ranking(
+    cases: Sequence[Case], horizons: Sequence[int], maps: Maps, against: str, seed: int, free_only: bool = False
+) -> dict[str, Any]:
+    """Return horizon -> ground truth -> predictor -> measure -> summary over starts.
+
+    Each measure also has the difference to the predictor `against` and the change since the first horizon, both paired by
+    start.
+
+    Args:
+        maps: of the predictors.
+        against: method that the others are compared with.
+        free_only: leave out goals on which the hider cannot truly stand, which it proposes as it has not seen why.
+    """
+    mask = np.stack(
+        [np.where(on_grid(case.goals, case.free.astype(np.int64)) == 1 if free_only else True, 0.0, np.nan) for case in cases]
+    )
+    found: dict[str, Any] = {str(horizon): {} for horizon in horizons}
+    for truth, true_maps in ground_truths(cases, horizons).items():
+        measured: dict[str, dict[str, NDArray[np.float64]]] = {}  # predictor -> measure -> [H, S]
+        for name, predicted in {**maps, **references(cases, horizons, truth)}.items():
+            table = [
+                [asdict(agreement(predicted[s, h], true_maps[s, h] + mask[s])) for s in range(len(cases))]
+                for h in range(len(horizons))
+            ]
+            measured[name] = {key: np.array([[cell[key] for cell in row] for row in table], float) for key in table[0][0]}
+        for h, horizon in enumerate(horizons):
+            found[str(horizon)][truth] = {
+                name: {
+                    key: _measure(values[h], measured.get(reference_of(name, against), {}).get(key), values[0], h, key, seed)
+                    for key, values in measures.items()
+                }
+                for name, measures in measured.items()
+            }
+    return found
+
+
+def _measure(
+    values: NDArray[np.float64],  # [S]
+    reference: NDArray[np.float64] | None,  # [H, S]
+    at_first_horizon: NDArray[np.float64],  # [S]
+    h: int,
+    key: str,
+    seed: int,
+) -> dict[str, Any]:
+    found: dict[str, Any] = summary(values, seed)
+    if key in COMPARED:
+        if reference is not None:
+            found["difference"] = summary(values - reference[h], seed)
+        if h:
+            found["change since the first horizon"] = summary(values - at_first_horizon, seed)
+    return found
+
+
+def played(cases: Sequence[Case], horizons: Sequence[int], maps: Maps, against: str, seed: int) -> dict[str, Any]:
+    """Return horizon -> who chose the goal -> outcome -> summary over starts, with the paired difference to `against`."""
+    choosers = {**maps, ANOTHER: simulated_maps(cases, horizons, slice(0, 1))}
+    found: dict[str, Any] = {}
+    for h, horizon in enumerate(horizons):
+        games = [play(case, {name: each[s, h] for name, each in choosers.items()}, horizon) for s, case in enumerate(cases)]
+        fared = {name: np.stack([game[name] for game in games]) for name in (*choosers, UNIFORM, BEST)}  # [S, 5]
+        found[str(horizon)] = {
+            name: {
+                outcome: {
+                    **summary(outcomes[:, column], seed),
+                    **_difference(outcomes[:, column], fared.get(reference_of(name, against)), column, seed),
+                }
+                for column, outcome in enumerate(OUTCOMES)
+            }
+            for name, outcomes in fared.items()
+        }
+    return found
+
+
+def _difference(values: NDArray[np.float64], reference: NDArray[np.float64] | None, column: int, seed: int) -> dict[str, Any]:
+    return {} if reference is None else {"difference": summary(values - reference[:, column], seed)}
+
+
+def arrays(cases: Sequence[Case], horizons: Sequence[int], maps: Maps) -> Mapping[str, NDArray[Any]]:
+    """Return what figures need, S starts, H horizons, P predictors, 1 + N simulations:
+
+    seeds [S], views uint8 [S, 128, 128], poses [S, 2, 3] (x, y, heading number), boxes [S, n, 7] (NaN = no box), proposed and
+    free bool [S, 121], horizons [H], truth and truth_mean [S, H, 121] (V of one simulation, mean of the others), caught int32
+    [S, 121, 1 + N] (-1 survived, -2 no goal), predictors [P] (names), values [P, S, H, 121], chosen [P, S, H] (goals).
+    """
+    boxes = np.full((len(cases), max(len(case.boxes) for case in cases), 7), np.nan)
+    caught = np.full((len(cases), 121, cases[0].caught.shape[1]), -2, np.int32)
+    proposed, free = np.zeros((2, len(cases), 121), np.bool_)
+    for s, case in enumerate(cases):
+        boxes[s, : len(case.boxes)] = case.boxes
+        caught[s, case.goals] = case.caught
+        proposed[s, case.goals] = True
+        free[s, case.goals] = case.free
+    chosen = [[[choose_goal(one, *case.hider) for one in each[s]] for s, case in enumerate(cases)] for each in maps.values()]
+    truth, truth_mean = ground_truths(cases, horizons).values()
+    return {
+        "seeds": np.array([case.seed for case in cases], np.int64),
+        "views": np.stack([case.view for case in cases]),
+        "poses": np.stack([case.poses for case in cases]),
+        "boxes": boxes,
+        "proposed": proposed,
+        "free": free,
+        "horizons": np.array(horizons, np.int64),
+        "truth": truth.astype(np.float32),
+        "truth_mean": truth_mean.astype(np.float32),
+        "caught": caught,
+        "predictors": np.array(list(maps)),
+        "values": np.stack(list(maps.values())).astype(np.float32),
+        "chosen": np.array(chosen, np.int64),
+    }
