@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 PYTHONS := python3 python3.12 python3.11 python3.13
-KERNELS := $(wildcard schemas/*.py vantage/*.py vantage/world/*.py vantage/perception/*.py vantage/networks/*.py services/seeker/*.py learning/hiders/*.py)
+KERNELS := $(wildcard schemas/*.py vantage/*.py vantage/world/*.py vantage/perception/*.py vantage/networks/*.py services/seeker/*.py services/planner/*.py learning/hiders/*.py learning/roll_outs/*.py)
 
 .PHONY: help demo test setup clean
 

@@ -13,7 +13,10 @@ from typing import Any
 import numba
 
 _ROOT = Path(__file__).resolve().parent.parent
-_ROOMS = ("schemas", "vantage/world", "vantage/perception", "vantage/networks", "services/seeker", "learning/hiders")
+_ROOMS = (
+    *("schemas", "vantage/world", "vantage/perception", "vantage/networks"),
+    *("services/seeker", "services/planner", "learning/hiders", "learning/roll_outs"),
+)
 
 
 def _source_hash() -> str:

@@ -10,6 +10,17 @@ from vantage.perception.state_image import Perceived
 from vantage.world.arena import GOALS
 
 
+def chosen_goal(
+    controller: Controller, generator: np.random.Generator, x: float, y: float, heading: int
+) -> tuple[float, float] | None:
+    """Return the goal (m) that a goal walk draws among those that look reachable; None where there is none."""
+    reachable = np.flatnonzero(controller.reachable_goals(x, y, heading))
+    if len(reachable) == 0:
+        return None
+    goal = GOALS[generator.choice(reachable)]
+    return float(goal[0]), float(goal[1])
+
+
 class GoalWalk:
     """Draws one of the goals that look reachable at the start and drives there with the planner's low-level controller."""
 
@@ -23,10 +34,9 @@ class GoalWalk:
         self._controller.observe(view, x, y, heading, step)
         if not self._has_goal:
             self._has_goal = True
-            reachable = np.flatnonzero(self._controller.reachable_goals(x, y, heading))
-            if len(reachable):
-                goal = GOALS[self._generator.choice(reachable)]
-                self._controller.go_to(float(goal[0]), float(goal[1]), x, y, heading)
+            goal = chosen_goal(self._controller, self._generator, x, y, heading)
+            if goal is not None:
+                self._controller.go_to(*goal, x, y, heading)
         return self._controller.drive(x, y, heading)
 
     def new_path(self, x: float, y: float, heading: int, step: int) -> NDArray[np.float64] | None:

@@ -148,14 +148,7 @@ class PlannerCore:
         assert self._episode is not None
         heading = int(heading_number(pose.heading))
         horizon = min(max(self._episode.rules.maximum_steps - pose.step, 1), self._settings.maximum_horizon)
-        tree = self._controller.paths_from(pose.x, pose.y, heading)
-        paths: dict[int, NDArray[np.float64]] = {}
-        for goal in range(GOAL_COUNT):
-            if self._controller.is_blocked(goal):
-                continue
-            waypoints = search.path_to(tree, *GOALS[goal])
-            if len(waypoints):
-                paths[goal] = search.roll_out(pose.x, pose.y, heading, waypoints, horizon)
+        paths = self._controller.proposals(pose.x, pose.y, heading, horizon)
         if not paths:
             paths[_nearest_goal(pose)] = search.roll_out(pose.x, pose.y, heading, np.empty((0, 3)), horizon)
         interval = min(self._settings.checkpoint_interval, horizon)

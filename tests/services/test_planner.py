@@ -15,6 +15,7 @@ from schemas import (
     PRIMITIVES,
     Command,
     Episode,
+    Intrinsics,
     Layout,
     Plan,
     Pose,
@@ -29,6 +30,7 @@ from services.planner.core import PlannerCore, PlannerSettings
 from services.planner.value_map import checkpoints, choose_goal, values_of
 from services.simulator.core import SimulatorCore
 from vantage.perception.seen_map import blocked, occupancy_of
+from vantage.perception.state_image import Perceived
 from vantage.service import Answered, Arrived, Ask, Publish, Send, Unexpected, Woken
 from vantage.world import search
 from vantage.world.arena import GOALS
@@ -223,6 +225,11 @@ def test_a_goal_where_the_robot_cannot_stand_is_blocked_even_right_beside_it() -
     assert told > 3
 
 
+def nothing_seen() -> Perceived:
+    camera = Intrinsics(fx=1.0, fy=1.0, cx=0.0, cy=0.0, mount_height=0.1)
+    return Perceived(np.empty((0, 0), np.uint8), np.full(1, np.nan), np.zeros(1, np.uint8), None, 0, False, camera)
+
+
 @pytest.mark.parametrize("heading", [0, 18])
 def test_a_refused_move_is_remembered_and_driven_around(heading: int) -> None:
     controller = Controller(np.zeros((search.CELLS, search.CELLS), np.uint8))  # a box that no camera shows stands in the middle
@@ -231,7 +238,7 @@ def test_a_refused_move_is_remembered_and_driven_around(heading: int) -> None:
     controller.go_to(0.95, 0.6, x, y, heading)
     changes = 0
     for step in range(400):
-        controller.observe(None, x, y, heading, step)  # type: ignore[arg-type]
+        controller.observe(nothing_seen(), x, y, heading, step)
         primitive = controller.drive(x, y, heading)
         if controller.path_changed:
             changes += 1

@@ -144,6 +144,7 @@ def too_near(clearance: float) -> float:
     return (clearance / CELL_SIZE) ** 2 - 1e-6
 
 
+@kernel
 def blocked(occupancy: npt.NDArray[np.uint8], clearance: float) -> npt.NDArray[np.bool_]:
     """Return bool [48, 48]: cells whose centre is nearer than `clearance` (m) to a boundary cell's centre or a wall.
 
@@ -153,7 +154,7 @@ def blocked(occupancy: npt.NDArray[np.uint8], clearance: float) -> npt.NDArray[n
         ValueError: the clearance is beyond what is measured.
     """
     if clearance > MEASURED_DISTANCE:
-        raise ValueError(f"clearance must not exceed {MEASURED_DISTANCE} m, got {clearance}")
+        raise ValueError("the clearance is beyond the distance that is measured")
     squares = np.empty((CELLS, CELLS), np.uint8)
     measure(occupancy, squares)
     return squares < too_near(clearance)
