@@ -9,7 +9,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -17,22 +16,16 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
-from schemas import STATE_IMAGE_SIZE, Plan, Pose, PredictReply, PredictRequest, Robot
+from learning.figures.style import BOX, ROBOTS, SAFETY_MAP, of_the_seeker
+from schemas import STATE_IMAGE_SIZE, Plan, Pose, PredictReply, PredictRequest
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
 from vantage.log.reader import read
 from vantage.perception.palette import PALETTE
 from vantage.perception.state_image import perceive
-from vantage.world.arena import ARENA_SIZE, GOALS, HIDER_COLOR, ROBOT_RADIUS, SEEKER_COLOR
-
-matplotlib.use("Agg")
+from vantage.world.arena import ARENA_SIZE, GOALS, ROBOT_RADIUS
 
 VIEW_INTERVAL = 20
 """Steps between the seeker views that are shown (paper, Fig. 4)."""
-_COLORS: dict[Robot, tuple[float, ...]] = {
-    "hider": tuple(part / 255 for part in HIDER_COLOR),
-    "seeker": tuple(part / 255 for part in SEEKER_COLOR),
-}
-_SAFETY_MAP = "RdYlBu"  # red is dangerous, blue is safe, as in the paper
 
 
 @dataclass(frozen=True)
@@ -88,19 +81,19 @@ def draw(game: Game, path: Path) -> None:
     details = f"{game_facts}, seeker preset {log.episode.players.seeker}; one step is 10 mm or 10 degrees"
     figure.text(0.045, 0.937, details, fontsize=11, color="0.35")
     maps = grid[0].subgridspec(1, 2, wspace=0.10)
-    _draw_arena(figure.add_subplot(maps[0]), log)
-    _draw_value_map(figure.add_subplot(maps[1]), log)
+    draw_arena(figure.add_subplot(maps[0]), log)
+    draw_value_map(figure.add_subplot(maps[1]), log)
     steps = sorted(game.predicted) or list(range(VIEW_INTERVAL - 1, rules.maximum_steps, VIEW_INTERVAL))
     strip = grid[1].subgridspec(2, len(steps), hspace=0.22, wspace=0.05)
     for column, step in enumerate(steps):
         top, bottom = figure.add_subplot(strip[0, column]), figure.add_subplot(strip[1, column])
         if step in game.predicted:
             view, caught = game.predicted[step]
-            top.imshow(in_the_colors_of_the_robots(view), interpolation="nearest")
+            top.imshow(of_the_seeker(view), interpolation="nearest")
             top.set_title(f"step {step}: {caught:.0%} risk to be caught", fontsize=10)
         true, when = _true_view(log, step)
         if true is not None:
-            bottom.imshow(in_the_colors_of_the_robots(true), interpolation="nearest")
+            bottom.imshow(of_the_seeker(true), interpolation="nearest")
             bottom.set_title(when, fontsize=10)
         for axes in (top, bottom):
             axes.set_xticks([])
@@ -115,21 +108,14 @@ def draw(game: Game, path: Path) -> None:
     figure.savefig(path)
 
 
-def in_the_colors_of_the_robots(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a seeker's view [128, 128, 3] with hider and seeker in the colours that they have in the arena above.
-
-    The palette paints a robot's own disc green and the other's red, whoever looks; here the seeker looks.
-    """
-    return view[..., [1, 0, 2]]
-
-
-def _draw_arena(axes: Axes, log: EpisodeLog) -> None:
+def draw_arena(axes: Axes, log: EpisodeLog) -> None:
+    """Draw the arena from above with both paths and the hider's plan."""
     _frame(axes, "The game from above", log)
     for robot in ("hider", "seeker"):
         track = _track(log.poses[robot])  # [n, 3]
         if len(track) == 0:
             continue
-        color = _COLORS[robot]
+        color = ROBOTS[robot]
         axes.plot(track[:, 0], track[:, 1], color=color, linewidth=2.5, zorder=4, label=f"{robot}'s path")
         for step in range(0, len(track), VIEW_INTERVAL):
             axes.plot(*track[step, :2], "o", color=color, markeredgecolor="black", markersize=5, zorder=5)
@@ -155,7 +141,8 @@ def _draw_arena(axes: Axes, log: EpisodeLog) -> None:
     axes.set_xlabel(f"metres; dotted disc: start, filled disc: end, a dot every {VIEW_INTERVAL} steps", fontsize=10)
 
 
-def _draw_value_map(axes: Axes, log: EpisodeLog) -> None:
+def draw_value_map(axes: Axes, log: EpisodeLog) -> None:
+    """Draw the value map that the hider painted first, and the goal that it chose."""
     plan = _first_plan(log)
     _frame(axes, "The hider's value map (blue = safe, red = dangerous)", log)
     if plan is None or not plan.values:
@@ -164,7 +151,7 @@ def _draw_value_map(axes: Axes, log: EpisodeLog) -> None:
     checkpoint_count = plan.horizon // plan.checkpoint_interval
     safety = np.array([np.nan if value is None else checkpoint_count - value for value in plan.values]).reshape(11, 11)
     image = axes.imshow(
-        np.ma.masked_invalid(safety), origin="lower", extent=(0.05, 1.15, 0.05, 1.15), cmap=_SAFETY_MAP, alpha=0.85, zorder=1
+        np.ma.masked_invalid(safety), origin="lower", extent=(0.05, 1.15, 0.05, 1.15), cmap=SAFETY_MAP, alpha=0.85, zorder=1
     )
     for goal in np.flatnonzero(np.isnan(safety.ravel())):
         x, y = GOALS[goal]
@@ -173,7 +160,7 @@ def _draw_value_map(axes: Axes, log: EpisodeLog) -> None:
         axes.plot(*GOALS[plan.goal], "*", color="gold", markeredgecolor="black", markersize=24, zorder=6)
     start = log.poses["hider"].get(plan.step)
     if start is not None:
-        axes.add_patch(Circle((start.x, start.y), ROBOT_RADIUS, facecolor=_COLORS["hider"], edgecolor="black", zorder=5))
+        axes.add_patch(Circle((start.x, start.y), ROBOT_RADIUS, facecolor=ROBOTS["hider"], edgecolor="black", zorder=5))
     bar = axes.figure.colorbar(image, ax=axes, fraction=0.046, pad=0.02)
     bar.set_label(f"safety: checkpoints of {checkpoint_count} expected to be reached free", fontsize=10)
     axes.set_xlabel("metres; star: chosen goal, disc: the hider, x: goal that looks blocked", fontsize=10)
@@ -189,7 +176,7 @@ def _frame(axes: Axes, title: str, log: EpisodeLog) -> None:
     for box in log.layout.obstacles if log.layout else ():
         corner = (-box.half_width, -box.half_depth)
         place = Affine2D().rotate(box.heading).translate(box.x, box.y) + axes.transData
-        axes.add_patch(Rectangle(corner, 2 * box.half_width, 2 * box.half_depth, color="0.25", zorder=3, transform=place))
+        axes.add_patch(Rectangle(corner, 2 * box.half_width, 2 * box.half_depth, color=BOX, zorder=3, transform=place))
 
 
 def _first_plan(log: EpisodeLog) -> Plan | None:

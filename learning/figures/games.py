@@ -157,7 +157,7 @@ def predicted_views(data: Dataset, method: PredictedViews, games: list[Shown]) -
     for index, game in enumerate(games):
         top = 1 - (0.95 + index * block) / height
         grid = figure.add_gridspec(
-            3, columns, left=0.06, right=0.995, top=top, bottom=top - (block - 0.6) / height, wspace=0.05, hspace=0.16
+            3, columns, left=0.06, right=0.995, top=top, bottom=top - (block - 0.6) / height, wspace=0.05, hspace=0.17
         )
         figure.text(0.06, top + 0.26 / height, game.name, fontsize=12)
         steps = every_interval(game)

@@ -80,7 +80,7 @@ def save(figure: Figure, path: Path) -> None:
     figure.savefig(raw, format="png")
     image = Image.open(raw).convert("RGB")
     path.parent.mkdir(parents=True, exist_ok=True)
-    for colors in (256, 96, 32):
+    for colors in (256, 160, 96, 64, 32):
         packed = io.BytesIO()
         image.quantize(colors, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
         if packed.tell() <= MAXIMUM_BYTES:

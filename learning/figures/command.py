@@ -1,0 +1,115 @@
+"""`vantage figures`: every figure of the results page, from a training set, weights and results."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import torch
+from matplotlib.figure import Figure
+
+from learning.dataset import Dataset
+from learning.figures import charts, games, maps
+from learning.figures.style import METHODS, save
+from learning.methods.machine import Machine
+from learning.methods.table import load_methods
+from learning.methods.views import PredictedViews
+from learning.provenance import provenance
+
+
+@dataclass(frozen=True)
+class FiguresSettings:
+    """Draw the paper's figures: training pair, predicted and true views, methods side by side, value maps, a run, charts.
+
+    Example: vantage figures --data dataset/ --weights weights/ --results results/ --to figures/
+    """
+
+    data: Path = Path("dataset")
+    """The training set; pictures show its test games."""
+    weights: Path = Path("weights")
+    """Folder with the networks; what is not there is not drawn."""
+    results: Path = Path("results")
+    """Folder with accuracy.json, maps.json and maps.npz, as `vantage evaluate` and `vantage evaluate maps` leave them."""
+    to: Path = Path("figures")
+    """Folder for the pictures."""
+    threads: int = 0
+    """CPU threads; 0 = all cores."""
+
+
+CAPTIONS = {
+    "training-pairs": "What VPT-TOB is shown (the hider's view, F and T of its plan) and what it is to predict.",
+    "predicted-views": "The seeker's views along two test games, predicted at step 0, beside the true ones. The games are "
+    "chosen by rule: the first that is caught between two and four fifths of T, and the first that survives.",
+    "side-by-side": "The same game through every method: predicted views, and the risk over time.",
+    "value-maps": "True and predicted value maps of the first starts.",
+    "run": "A run: the value map of VPT-TOB, the goal chosen, and how the game went.",
+    "table-1": "Accuracy of every method, with the paper's.",
+    "accuracy-over-horizon": "Accuracy by horizon.",
+    "reliability": "How often those were caught to whom a risk was told.",
+    "table-2": "Relative ranking accuracy from 200 to 350 steps, with the paper's.",
+    "play": "How long a hider stays free that drives to the goal each method chooses.",
+}
+
+
+def main(settings: FiguresSettings) -> int:
+    """Draw; returns the exit code."""
+    data, accuracy, ranking = (
+        Dataset(settings.data),
+        read(settings.results / "accuracy.json"),
+        read(settings.results / "maps.json"),
+    )
+    torch.set_num_threads(settings.threads or os.cpu_count() or 1)
+    methods, left_out = load_methods(METHODS, settings.weights, Machine.fastest(settings.threads))
+    for line in left_out:
+        print(line, file=sys.stderr)
+    view_methods = {method.name: method for method in methods if isinstance(method, PredictedViews)}
+    chosen = games.chosen_games(data)
+    drawn: dict[str, Callable[[], Figure]] = {"training-pairs": lambda: games.training_pairs(data)}
+    if "vpt-tob" in view_methods:
+        drawn["predicted-views"] = lambda: games.predicted_views(data, view_methods["vpt-tob"], chosen)
+        drawn["run"] = lambda: _run(settings, data, ranking)
+    if methods:
+        drawn["side-by-side"] = lambda: games.side_by_side(data, methods, chosen[0])
+    if accuracy:
+        drawn["table-1"] = lambda: charts.table_one(accuracy)
+        drawn["accuracy-over-horizon"] = lambda: charts.over_horizon(accuracy)
+        drawn["reliability"] = lambda: charts.reliability(accuracy)
+    if ranking:
+        arrays = maps.read_maps(settings.results / "maps.npz")
+        drawn["value-maps"] = lambda: maps.value_maps(arrays, ranking["layout"])
+        drawn["table-2"] = lambda: charts.table_two(ranking)
+        drawn["play"] = lambda: charts.play_chart(ranking)
+    settings.to.mkdir(parents=True, exist_ok=True)
+    for name in (name for name in CAPTIONS if name in drawn):
+        save(drawn[name](), settings.to / f"{name}.png")
+        print(settings.to / f"{name}.png", flush=True)
+    left = [name for name in CAPTIONS if name not in drawn]
+    if left:
+        print(f"not drawn, as results or weights for them are missing: {', '.join(left)}", file=sys.stderr)
+    pictures = {f"{name}.png": caption for name, caption in CAPTIONS.items() if name in drawn}
+    report = {"provenance": provenance(), "data": data.hash, "figures": pictures}
+    (settings.to / "figures.json").write_text(json.dumps(report, indent=2) + "\n")
+    return 0
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return the results in a file; empty where there are none."""
+    return json.loads(path.read_text()) if path.is_file() else {}
+
+
+def _run(settings: FiguresSettings, data: Dataset, ranking: dict[str, Any]) -> Figure:
+    """A run from the first start of the value maps; without them, from that of the first test game."""
+    from learning.figures.run import play_run, run
+
+    if ranking:
+        layout, seeker, seed, steps = ranking["layout"], ranking["seeker"], ranking["starts"][0], ranking["horizons"][0]
+    else:
+        episode = data.episodes[data.of_split("test")[0]]
+        layout, seeker = episode["layout"].decode(), episode["seeker"].decode()
+        seed, steps = int(episode["seed"]), int(episode["horizon"])
+    return run(play_run(settings.weights, layout, seeker, seed, steps, settings.threads))
