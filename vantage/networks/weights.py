@@ -15,6 +15,8 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 
+from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
+from vantage.networks.hazard import Hazard, HazardSettings
 from vantage.networks.vector_action import VectorAction, VectorActionSettings
 from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import SelfPerspective, VptTob, VptTobSettings
@@ -39,6 +41,8 @@ ARCHITECTURES: dict[str, tuple[Callable[[Any], Any], type]] = {  # network, sett
     "self-perspective": (SelfPerspective, VptTobSettings),
     "vector-action": (VectorAction, VectorActionSettings),
     "vpn": (Vpn, VpnSettings),
+    "hazard": (Hazard, HazardSettings),
+    "coordinate-value": (CoordinateValue, CoordinateValueSettings),
 }
 
 
