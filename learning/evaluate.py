@@ -1,201 +1,249 @@
-"""`vantage evaluate`: how well VPN judges what VPT-TOB predicts, beside what needs no network."""
+"""`vantage evaluate`: how often each method is right about unseen games, all on the same examples (paper, Table I)."""
 
 from __future__ import annotations
 
 import json
-import os
-import shlex
 import sys
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from numpy.typing import NDArray
 from rich.console import Console
-from rich.table import Table
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from learning.accuracy.examples import STARTS, Start, blind_logits, draw_examples, frequency_logits
+from learning.accuracy.page import page_of, table_of
+from learning.accuracy.report import CLOCK, MAJORITY, ORACLE, judged, without_nan
 from learning.dataset import Dataset, Samples
-from learning.measures import accuracy, area_under_roc, balanced_accuracy, best_clock, bootstrap_interval
-from learning.train_vpn import predict_views
-from vantage.log import source_commit
+from learning.methods.machine import Machine
+from learning.methods.method import Method
+from learning.methods.table import ABLATIONS, METHODS, load_methods
+from learning.methods.views import judge_true_views
+from learning.provenance import provenance
 from vantage.networks.vpn import Vpn
-from vantage.networks.vpt_tob import VptTob
-from vantage.networks.weights import fast_device, load
+from vantage.networks.weights import ModelCard, load
 
 
 @dataclass(frozen=True)
 class EvaluateSettings:
-    """Accuracy of VPN on VPT-TOB's predictions, on unseen test examples: t0 = 0 (see --any-start), horizon uniform.
+    """Accuracy of methods on unseen test examples, all on the same ones, with t0 any step before the catch and with t0 = 0.
 
-    Example: vantage evaluate --data dataset/ --weights weights/ --samples 1000
+    Example: vantage evaluate --data dataset/ --weights weights/ --samples 1000 10000 --horizons 100 200 --oracle 50
     """
 
     data: Path = Path("dataset")
-    """The training set; only its test episodes are looked at (and, for the clock, the catches of its training episodes)."""
+    """The training set; its test episodes are judged, its training episodes tell what the horizon alone is worth."""
     weights: Path = Path("weights")
-    """Folder with vpt-tob.safetensors and vpn.safetensors."""
-    samples: int = 1000
-    """Examples for each horizon."""
+    """Folder with the weights; methods whose weights are not there are left out."""
+    methods: tuple[str, ...] = tuple(name for name in METHODS if name not in ABLATIONS)
+    """Which methods: rows of the method table."""
+    samples: tuple[int, ...] = (1000,)
+    """Examples of each set; a smaller set is the beginning of a larger one (the paper: 1,000)."""
     horizons: tuple[int, ...] = (100, 200)
     """T: examples have horizons below each of these."""
-    any_start: bool = False
-    """Let any step before the catch be t0 in half of the examples, not only the first of an episode."""
+    starts: tuple[Start, ...] = STARTS
+    """`uniform`: t0 is any step before the catch, as in the paper. `first`: t0 = 0, as the planner asks."""
+    oracle: int = 0
+    """Simulations of the Monte Carlo oracle, which knows the true state and policies: the ceiling. 0 = none."""
+    oracle_samples: int = 1000
+    """The oracle judges the first so many examples of each set."""
+    ablations: bool = False
+    """Also VPN on true views, and the VPN that learnt from true views (vpn-on-true.safetensors) on predictions."""
     to: Path | None = Path("runs/evaluation")
     """Write the results to this path, as .json and .md."""
     threads: int = 0
     """CPU threads; 0 = all cores."""
     seed: int = 1
+    """Draws the examples and the bootstrap."""
 
 
-def judge(vpt_tob: VptTob, vpn: Vpn, data: Dataset, samples: Samples, device: torch.device) -> NDArray[np.float32]:
-    """Return VPN's logits of "caught" [B] for VPT-TOB's predictions."""
-    with torch.inference_mode():
-        return torch.cat([vpn(views.float()).cpu() for views in predict_views(vpt_tob, data, samples, device)]).numpy()
+class UnusableSettings(ValueError):
+    """What was asked for cannot be evaluated."""
 
-
-def measure(scores: NDArray[np.float32], data: Dataset, samples: Samples, limit: int, seed: int) -> dict[str, Any]:
-    """Return what is to be said of one set of examples, network and simple predictors alike."""
-    truth, predicted = samples.caught, scores > 0
-    clock = best_clock(data.episodes["caught_step"][data.of_split("train")], limit)
-    by_clock = samples.horizon >= clock
-    low, high = bootstrap_interval(predicted, truth, samples.episode, seed)
-    clock_low, clock_high = bootstrap_interval(by_clock, truth, samples.episode, seed)
-    hiders = data.episodes["hider"][samples.episode]
-    edges = np.linspace(0, limit, 6).astype(int)
-    bins = [(int(low_edge), int(high_edge)) for low_edge, high_edge in pairwise(edges)]
-    where = {f"{a}..{b - 1}": (samples.horizon >= a) & (samples.horizon < b) for a, b in bins}
-    return {
-        "horizon limit": limit,
-        "examples": len(samples),
-        "caught share": float(truth.mean()),
-        "accuracy": accuracy(predicted, truth),
-        "accuracy interval 95 %": [low, high],
-        "balanced accuracy": balanced_accuracy(predicted, truth),
-        "AUROC": area_under_roc(scores, truth),
-        "majority class": float(max(truth.mean(), 1 - truth.mean())),
-        "horizon only": accuracy(by_clock, truth),
-        "horizon only interval 95 %": [clock_low, clock_high],
-        "horizon only balanced": balanced_accuracy(by_clock, truth),
-        "horizon only AUROC": area_under_roc(samples.horizon, truth),
-        "horizon only says caught from step": clock,
-        "by hider": {
-            name.decode(): {"examples": int(mine.sum()), **_pair(predicted, by_clock, truth, mine)}
-            for name in np.unique(hiders)
-            for mine in [hiders == name]
-        },
-        "by horizon": {
-            name: {"examples": int(mine.sum()), **_pair(predicted, by_clock, truth, mine)}
-            for name, mine in where.items()
-            if mine.any()
-        },
-    }
-
-
-def _pair(
-    predicted: NDArray[np.bool_], by_clock: NDArray[np.bool_], truth: NDArray[np.bool_], mine: NDArray[np.bool_]
-) -> dict[str, float]:
-    return {
-        "caught share": float(truth[mine].mean()),
-        "accuracy": accuracy(predicted[mine], truth[mine]),
-        "horizon only": accuracy(by_clock[mine], truth[mine]),
-    }
+    for_people = True
 
 
 def main(settings: EvaluateSettings) -> int:
     """Evaluate; returns the exit code."""
-    torch.set_num_threads(settings.threads or os.cpu_count() or 1)
-    device, data = fast_device(), Dataset(settings.data)
-    vpt_tob, vpt_tob_card = load(settings.weights / "vpt-tob.safetensors", VptTob)
-    vpn, vpn_card = load(settings.weights / "vpn.safetensors", Vpn)
-    vpt_tob, vpn = vpt_tob.to(device, memory_format=torch.channels_last), vpn.to(device)  # type: ignore[call-overload]
-    results = []
-    for limit in settings.horizons:
-        generator = np.random.default_rng([settings.seed, limit])
-        from_start = 0.5 if settings.any_start else 1.0
-        samples = data.draw("test", settings.samples, generator, from_start, horizon_limit=limit, symmetries=1)
-        results.append(measure(judge(vpt_tob, vpn, data, samples, device), data, samples, limit, settings.seed))
-    report = {
-        "command": shlex.join(["vantage", "evaluate", *sys.argv[2:]]),
-        "commit": source_commit(),
-        "seed": settings.seed,
-        "data": data.hash,
-        "seekers": data.manifest["seekers"],
-        "test episodes": len(data.of_split("test")),
-        "weights": {"vpt-tob": vpt_tob_card.sha256, "vpn": vpn_card.sha256},
-        "vpn learnt from these vpt-tob weights": vpt_tob_card.sha256 in vpn_card.inputs.values(),
-        "trained on this data": data.hash == vpt_tob_card.data.get("hash") == vpn_card.data.get("hash"),
-        "results": results,
-    }
-    Console().print(table_of(results))
-    for warning in ("vpn learnt from these vpt-tob weights", "trained on this data"):
-        if not report[warning]:
-            print(f"warning: not {warning}", file=sys.stderr)
+    check(settings)
+    data, machine, console = Dataset(settings.data), Machine.fastest(settings.threads), Console(stderr=True)
+    wanted = dict.fromkeys((*settings.methods, *(ABLATIONS if settings.ablations else ())))
+    methods, left_out = load_methods((name for name in METHODS if name in wanted), settings.weights, machine)
+    for line in left_out:
+        print(line, file=sys.stderr)
+    if not methods:
+        print(f"no method has its weights in {settings.weights}", file=sys.stderr)
+        return 2
+    warnings = warnings_of(methods, data)
+    results: list[dict[str, Any]] = []
+    for start in settings.starts:
+        for limit in settings.horizons:
+            examples = draw_examples(data, "test", max(settings.samples), start, limit, settings.seed)
+            logits, clock_step = blind(data, examples, start, limit, settings.seed)
+            logits |= judge_all(methods, data, examples, console)
+            if settings.ablations:
+                logits |= on_true_views(settings.weights, data, examples, machine)
+            if settings.oracle:
+                asked = examples.part(0, min(settings.oracle_samples, len(examples)))
+                try:
+                    logits[ORACLE] = consult_oracle(data, asked, settings.oracle, settings.threads, console)
+                except ValueError as error:
+                    warnings += [line for line in [f"no oracle: {error}"] if line not in warnings]
+            for count in settings.samples:
+                part = {name: found[:count] for name, found in logits.items()}
+                results.append(result_of(part, data, examples.part(0, count), start, limit, clock_step, settings.seed))
+    report = without_nan(report_of(settings, data, methods, left_out, warnings, results))
+    papers = {name: row.paper for name, row in METHODS.items()}
+    out = Console() if sys.stdout.isatty() else Console(width=100)
+    for result in report["results"]:
+        out.print(table_of(result, papers))
+    for line in warnings:
+        print(f"warning: {line}", file=sys.stderr)
     if settings.to:
+        page, table = settings.to.with_name(settings.to.name + ".md"), settings.to.with_name(settings.to.name + ".json")
         settings.to.parent.mkdir(parents=True, exist_ok=True)
-        settings.to.with_suffix(".json").write_text(json.dumps(report, indent=2) + "\n")
-        settings.to.with_suffix(".md").write_text(markdown_of(report))
-        print(f"results in {settings.to.with_suffix('.json')} and .md")
+        table.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
+        page.write_text(page_of(report))
+        print(f"results in {table} and {page}")
     return 0
 
 
-def _rows(result: dict[str, Any]) -> list[tuple[str, ...]]:
-    low, high = result["accuracy interval 95 %"]
-    clock_low, clock_high = result["horizon only interval 95 %"]
-    name = f"T = {result['horizon limit']}"
-    return [
-        (
-            f"{name}: VPN on VPT-TOB",
-            f"{result['accuracy']:.1%} [{low:.1%}, {high:.1%}]",
-            f"{result['balanced accuracy']:.1%}",
-            f"{result['AUROC']:.3f}",
-        ),
-        (
-            f"{name}: horizon only (caught from step {result['horizon only says caught from step']} on)",
-            f"{result['horizon only']:.1%} [{clock_low:.1%}, {clock_high:.1%}]",
-            f"{result['horizon only balanced']:.1%}",
-            f"{result['horizon only AUROC']:.3f}",
-        ),
-        (f"{name}: majority class", f"{result['majority class']:.1%}", "50.0%", "0.500"),
-        *(
-            (
-                f"{name}, {kind} {key} ({part['examples']})",
-                f"{part['accuracy']:.1%} (horizon only {part['horizon only']:.1%})",
-                "",
-                "",
-            )
-            for kind, table in (("hider", result["by hider"]), ("horizon", result["by horizon"]))
-            for key, part in table.items()
-        ),
-    ]
+def check(settings: EvaluateSettings) -> None:
+    """Raise UnusableSettings with what people can do about it."""
+    if unknown := [name for name in settings.methods if name not in METHODS]:
+        raise UnusableSettings(f"there is no method {', '.join(unknown)}; the table has {', '.join(METHODS)}")
+    for name in ("methods", "samples", "horizons", "starts"):
+        if not getattr(settings, name):
+            raise UnusableSettings(f"--{name} names nothing")
+    for name in ("samples", "horizons"):
+        if min(getattr(settings, name)) < 1:
+            raise UnusableSettings(f"--{name} must be at least 1")
+    if settings.oracle < 0 or settings.oracle_samples < 1:
+        raise UnusableSettings("--oracle must be at least 0 and --oracle-samples at least 1")
 
 
-_COLUMNS = ("", "accuracy [95 % interval]", "balanced", "AUROC")
+def blind(data: Dataset, examples: Samples, start: Start, limit: int, seed: int) -> tuple[dict[str, NDArray[np.float32]], int]:
+    """Return the logits [B] of the predictors that look at nothing, and the step from which on the clock says "caught"."""
+    constant, clock, step = blind_logits(data, examples, start, limit, seed)
+    return {MAJORITY: constant, CLOCK: clock}, step
 
 
-def table_of(results: list[dict[str, Any]]) -> Table:
-    """Return the results for the terminal."""
-    table = Table(*_COLUMNS, title="is the hider caught? unseen test examples")
-    for result in results:
-        for row in _rows(result):
-            table.add_row(*row)
-        table.add_section()
-    return table
+def judge_all(methods: list[Method], data: Dataset, examples: Samples, console: Console) -> dict[str, NDArray[np.float32]]:
+    """Return the logits [B] of every method, by name."""
+    questions, found = data.questions(examples), {}
+    with _progress(console) as progress:
+        task = progress.add_task("methods", total=len(methods))
+        for method in methods:
+            progress.update(task, description=method.name)
+            found[method.name] = method.judge(questions)
+            progress.advance(task)
+    return found
 
 
-def markdown_of(report: dict[str, Any]) -> str:
-    """Return the results as a page."""
-    lines = [
-        "# Is the hider caught? VPN on VPT-TOB predictions, unseen test examples",
-        "",
-        f"`{report['command']}`, commit `{report['commit']}`, seed {report['seed']}, data `{report['data'][:16]}`,",
-        f"{report['test episodes']} test episodes, seekers {report['seekers']}",
-        "",
-        "| " + " | ".join(_COLUMNS) + " |",
-        "|" + "---|" * len(_COLUMNS),
-    ]
-    for result in report["results"]:
-        lines += ["| " + " | ".join(row) + " |" for row in _rows(result)]
-    return "\n".join(lines) + "\n"
+def consult_oracle(data: Dataset, examples: Samples, simulations: int, threads: int, console: Console) -> NDArray[np.float32]:
+    """Return the oracle's logits [B]: how many of the games that go on from the true state at t0 end in a catch by the horizon.
+
+    Raises:
+        ValueError: some of the games cannot be played again.
+    """
+    from learning.roll_outs import oracle_catch_steps
+
+    with _progress(console) as progress:
+        task = progress.add_task(ORACLE, total=len(examples))
+        caught = oracle_catch_steps(data, examples, simulations, threads, lambda done: progress.advance(task, done))
+    by_horizon = (caught >= 0) & (caught <= (examples.start + examples.horizon)[:, None])  # [B, simulations]
+    return frequency_logits(by_horizon.mean(axis=1), simulations)
+
+
+def on_true_views(weights: Path, data: Dataset, examples: Samples, machine: Machine) -> dict[str, NDArray[np.float32]]:
+    """Return the logits [B] of each VPN in the folder on the views that the seeker really had."""
+    found = {}
+    for stem in ("vpn", "vpn-on-true"):
+        path = weights / f"{stem}.safetensors"
+        if path.exists():
+            found[f"true views, {stem}"] = judge_true_views(load(path, Vpn)[0], data, examples, machine)
+    return found
+
+
+def warnings_of(methods: list[Method], data: Dataset) -> list[str]:
+    """Return a line on everything that makes the comparison less than fair."""
+    lines = []
+    for file, card in {file: card for method in methods for file, card in method.cards.items()}.items():
+        if card.data.get("hash") != data.hash:
+            lines.append(f"{file} was trained on other data than --data: it may have seen these games")
+    for method in methods:
+        files = list(method.cards)
+        if (
+            len(files) == 2
+            and files[1] != "vpn-on-true"
+            and method.cards[files[0]].sha256 not in method.cards[files[1]].inputs.values()
+        ):
+            lines.append(f"{method.name}: {files[1]} did not learn from what these {files[0]} weights predict")
+    samples = {method.name: seen(next(iter(method.cards.values())))["samples"] for method in methods}
+    if len(set(samples.values())) > 1:
+        lines.append("the networks saw different numbers of samples: " + ", ".join(f"{k} {v:,}" for k, v in samples.items() if v))
+    return lines
+
+
+def seen(card: ModelCard) -> dict[str, Any]:
+    """Return what a network learnt from and how much of it: `sha256`, `preset`, `commit`, `data` (hash), `samples` (None for a
+    VPN), `images` (None for others)."""
+    return {
+        "sha256": card.sha256,
+        "preset": card.preset,
+        "commit": card.commit,
+        "data": str(card.data.get("hash", "")),
+        "samples": card.training.get("samples"),
+        "images": card.training.get("images"),
+    }
+
+
+def result_of(
+    logits: dict[str, NDArray[np.float32]], data: Dataset, examples: Samples, start: Start, limit: int, clock_step: int, seed: int
+) -> dict[str, Any]:
+    """Return one set of examples with every method on it."""
+    return {
+        "start": start,
+        "horizon limit": limit,
+        "examples": len(examples),
+        "episodes": len(np.unique(examples.episode)),
+        "caught share": float(examples.caught.mean()),
+        "horizon only says caught from step": clock_step,
+        "methods": judged(logits, data, examples, seed),
+    }
+
+
+def report_of(
+    settings: EvaluateSettings,
+    data: Dataset,
+    methods: list[Method],
+    left_out: list[str],
+    warnings: list[str],
+    results: list[dict[str, Any]],
+) -> dict[str, Any]:
+    """Return everything that goes into the JSON."""
+    kept = ("hash", "seekers", "layouts", "hiders", "horizons")
+    return {
+        "provenance": provenance(),
+        "seed": settings.seed,
+        "data": {**{key: data.manifest[key] for key in kept}, "test episodes": len(data.of_split("test"))},
+        "oracle simulations": settings.oracle,
+        "methods": {
+            method.name: {
+                "description": METHODS[method.name].description,
+                "paper": METHODS[method.name].paper,
+                "weights": {file: seen(card) for file, card in method.cards.items()},
+            }
+            for method in methods
+        },
+        "left out": left_out,
+        "warnings": warnings,
+        "results": results,
+    }
+
+
+def _progress(console: Console) -> Progress:
+    columns = (TextColumn("{task.description:<18}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    return Progress(*columns, console=console, transient=True, disable=not console.is_terminal)

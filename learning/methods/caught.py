@@ -7,18 +7,16 @@ from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
-from torch import Tensor, nn
+from torch import Tensor
 
 from learning.methods.machine import Machine
 from learning.methods.method import Questions
 from learning.methods.shown import Show, action_images
 from learning.methods.survival import caught_logits
+from vantage.networks import hazard
 from vantage.networks.inference import folded
 from vantage.networks.vpt_tob import ViewPredictor
 from vantage.networks.weights import ModelCard
-
-SPACING = 10
-"""Steps between two checkpoints of the hazard network (reading, row 14)."""
 
 
 class CaughtAtHorizon:
@@ -58,7 +56,7 @@ class CaughtAtHorizon:
 class Hazard:
     """The one-pass hazard network: asked once a plan, it answers for every horizon."""
 
-    def __init__(self, name: str, network: nn.Module, cards: dict[str, ModelCard], machine: Machine) -> None:
+    def __init__(self, name: str, network: hazard.Hazard, cards: dict[str, ModelCard], machine: Machine) -> None:
         self.name, self.cards = name, cards
         self._network, self._machine = machine.prepared(network), machine
 
@@ -67,11 +65,13 @@ class Hazard:
         plans = np.stack([questions.view_of, questions.first, questions.last], axis=1)
         _, rows, plan_of = np.unique(plans, axis=0, return_index=True, return_inverse=True)
         conditional = self.conditional(questions.chosen(rows))
-        return caught_logits(conditional[plan_of.ravel()], questions.horizons, SPACING)
+        return caught_logits(conditional[plan_of.ravel()], questions.horizons, self._network.settings.spacing)
 
     def conditional(self, plans: Questions) -> NDArray[np.float32]:
-        """Return the logits of the conditional hazards [P, K] of whole plans; their horizons do not matter."""
-        reach = self._network.settings.checkpoints * SPACING  # type: ignore[union-attr,operator]
+        """Return the logits of the conditional hazards [P, K] of whole plans, drawn up to the last checkpoint at most, as in
+        training; their horizons do not matter."""
+        shape = self._network.settings
+        reach = shape.checkpoints * shape.spacing - 1
         whole = replace(plans, horizons=np.minimum(plans.last - plans.first, reach))
 
         def compute(rows: NDArray[np.int64]) -> Tensor:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import fields
+
 import numpy as np
 from numpy.typing import NDArray
 from torch import Tensor
 
+from learning.dataset import Dataset, Samples
 from learning.methods.machine import Machine
 from learning.methods.method import Questions
 from learning.methods.shown import Show
@@ -44,3 +47,14 @@ class PredictedViews:
             return self._predictor(*self._show(questions, rows, self._machine)).float().mul(255).round().permute(0, 2, 3, 1)
 
         return self._machine.run(compute, len(questions)).astype(np.uint8)
+
+
+def judge_true_views(vpn: Vpn, data: Dataset, samples: Samples, machine: Machine) -> NDArray[np.float32]:
+    """Return the VPN's logits of "caught" [B] on the views that the seeker really had, as a perfect predictor would show."""
+    vpn = machine.prepared(vpn)
+
+    def compute(rows: NDArray[np.int64]) -> Tensor:
+        chosen = Samples(*(getattr(samples, field.name)[rows] for field in fields(Samples)))
+        return vpn(machine.pixels(data.render(chosen).targets))
+
+    return machine.run(compute, len(samples))

@@ -1,11 +1,21 @@
 """Measures against their definitions."""
 
+from random import Random
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from learning.measures import accuracy, area_under_roc, balanced_accuracy, best_clock, bootstrap_interval
+from learning.measures import (
+    accuracy,
+    area_under_roc,
+    balanced_accuracy,
+    bootstrap_interval,
+    calibration,
+    clustered_interval,
+    fit_clock,
+)
 
 cases = st.lists(st.tuples(st.integers(-3, 3), st.booleans()), min_size=1, max_size=30)
 
@@ -27,14 +37,49 @@ def test_accuracies_are_shares_of_right_answers(found: list[tuple[int, bool]]) -
 
 
 @settings(max_examples=60)
-@given(steps=st.lists(st.integers(-1, 12), min_size=1, max_size=15), horizons=st.integers(1, 10))
-def test_the_best_clock_beats_every_other_threshold(steps: list[int], horizons: int) -> None:
-    caught = np.array([[0 <= step <= horizon for horizon in range(horizons)] for step in steps])
+@given(found=st.lists(st.tuples(st.integers(0, 7), st.booleans()), min_size=1, max_size=40), limit=st.integers(8, 10))
+def test_the_clock_is_as_often_right_as_the_best_threshold(found: list[tuple[int, bool]], limit: int) -> None:
+    horizons, caught = np.array([horizon for horizon, _ in found]), np.array([truth for _, truth in found])
+    clock = fit_clock(horizons, caught, limit)
+    assert len(clock) == limit and (np.diff(clock) >= 0).all() and (clock > 0).all() and (clock < 1).all()
+    right = ((clock[horizons] > 0.5) == caught).sum()
+    assert right == max((caught == (horizons >= threshold)).sum() for threshold in range(limit + 1))
 
-    def right(threshold: int) -> int:
-        return int((caught == (np.arange(horizons) >= threshold)).sum())
 
-    assert right(best_clock(np.array(steps), horizons)) == max(right(threshold) for threshold in range(horizons + 1))
+def test_the_clock_tells_the_shares_where_they_rise() -> None:
+    horizons = np.repeat(np.arange(4), 1000)
+    share = np.array([0.1, 0.5, 0.4, 0.9])  # the middle two are pooled
+    caught = np.tile(np.arange(1000) / 1000, 4) < share[horizons]
+    np.testing.assert_allclose(fit_clock(horizons, caught, 4), [0.1, 0.45, 0.45, 0.9], atol=1e-3)
+
+
+scored = st.lists(st.tuples(st.integers(-4, 4), st.booleans()), min_size=1, max_size=60)
+
+
+@given(scored, st.randoms(use_true_random=False))
+def test_calibration_by_its_definition_and_in_any_order(found: list[tuple[int, bool]], random: Random) -> None:
+    z, truth = np.array([score for score, _ in found], float), np.array([caught for _, caught in found])
+    p = 1 / (1 + np.exp(-z))
+    measured = calibration(z, truth)
+    assert measured.brier == pytest.approx(np.mean((p - truth) ** 2))
+    assert measured.log_loss == pytest.approx(-np.mean(np.log(np.where(truth, p, 1 - p))))
+    counts = [count for _, _, count in measured.bins]
+    assert sum(counts) == len(z) and max(counts) - min(counts) <= 1 and len(counts) <= 10
+    assert sum(share * count for _, share, count in measured.bins) == pytest.approx(truth.sum())
+    told = [probability for probability, _, _ in measured.bins]
+    assert told == sorted(told)
+    assert measured.error == pytest.approx(sum(abs(a - b) * n for a, b, n in measured.bins) / len(z))
+    order = list(range(len(z)))
+    random.shuffle(order)
+    assert calibration(z[order], truth[order]).error == pytest.approx(measured.error)
+
+
+def test_probabilities_that_come_true_as_often_as_they_say_are_calibrated() -> None:
+    generator = np.random.default_rng(0)
+    z = generator.normal(size=100_000) * 2
+    truth = generator.random(len(z)) < 1 / (1 + np.exp(-z))
+    assert calibration(z, truth).error < 0.01
+    assert calibration(3 * z, truth).error > 0.1
 
 
 def test_examples_of_one_episode_are_drawn_together() -> None:
@@ -49,3 +94,13 @@ def test_the_bootstrap_interval_has_the_width_of_the_binomial() -> None:
     low, high = bootstrap_interval(np.ones(1000, np.bool_), truth, np.arange(1000))
     assert low == pytest.approx(0.8 - 1.96 * np.sqrt(0.16 / 1000), abs=0.005)
     assert high == pytest.approx(0.8 + 1.96 * np.sqrt(0.16 / 1000), abs=0.005)
+
+
+def test_a_paired_difference_is_drawn_again_by_episode_too() -> None:
+    generator = np.random.default_rng(1)
+    episode = np.repeat(np.arange(200), 10)
+    gain = np.repeat(generator.choice([-1.0, 0.0, 1.0], 200, p=[0.1, 0.7, 0.2]), 10)
+    low, high = clustered_interval(gain, episode)
+    means = gain.reshape(200, 10).mean(axis=1)  # equally long: the interval of the clusters' means
+    assert (high - low) / 2 == pytest.approx(1.96 * means.std() / np.sqrt(200), rel=0.1)
+    assert low < gain.mean() < high

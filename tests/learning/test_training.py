@@ -119,12 +119,17 @@ def test_from_training_to_answers_and_results(
     assert np.isfinite(inference.answer(np.array([0]))[0]).all()
 
     results = tmp_path / "results"
-    judged = evaluate.EvaluateSettings(data=dataset.folder, weights=weights, samples=60, horizons=(20, 40), to=results, threads=1)
+    judged = evaluate.EvaluateSettings(
+        data=dataset.folder, weights=weights, samples=(30, 60), horizons=(20, 40), to=results, threads=1
+    )
     assert evaluate.main(judged) == 0
     report = json.loads(results.with_suffix(".json").read_text())
-    assert report["vpn learnt from these vpt-tob weights"] and report["trained on this data"]
+    assert list(report["methods"]) == ["vpt-tob", "caught-head"]
+    assert not report["warnings"]
+    assert len(report["results"]) == 8
     for result in report["results"]:
-        low, high = result["accuracy interval 95 %"]
-        assert low <= result["accuracy"] <= high
-        assert sum(part["examples"] for part in result["by horizon"].values()) == result["examples"] == 60
+        for found in result["methods"].values():
+            low, high = found["accuracy interval 95 %"]
+            assert low <= found["accuracy"] <= high
+            assert sum(part["examples"] for part in found["by horizon"].values()) == result["examples"]
     assert "majority class" in results.with_suffix(".md").read_text()
