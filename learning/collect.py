@@ -6,8 +6,10 @@ a log depends on its settings alone: the same command makes the same bytes of ev
 
 from __future__ import annotations
 
+import hashlib
 import json
 import multiprocessing
+import os
 import sys
 import time
 from dataclasses import asdict, dataclass, field, replace
@@ -17,6 +19,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+import psutil
 import tyro
 from numpy.typing import NDArray
 from rich.console import Console
@@ -25,7 +28,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from learning.hiders.core import HiderCore
 from learning.hiders.policy import HiderPolicy
 from learning.hiders.replay import Trajectories
-from learning.hiders.table import HIDERS
+from learning.hiders.table import HIDERS, policy_generator
 from learning.in_process import play
 from learning.splits import SPLITS, split_of
 from schemas import PRIMITIVES, Command, Episode, Players, Rules
@@ -41,6 +44,7 @@ EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episod
 TrajectoriesBySplit = tuple[Trajectories, Trajectories, Trajectories]
 NO_TRAJECTORIES: TrajectoriesBySplit = ((), (), ())
 EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
+LARGEST_SEED = (2**63 - 1 - EPOCH) // EPISODE_SPACING - 1  # stamps are int64
 
 
 @dataclass(frozen=True)
@@ -80,6 +84,9 @@ def main(settings: CollectSettings) -> int:
     if settings.hider not in HIDERS:
         print(f"there is no hider `{settings.hider}`; the table has {', '.join(HIDERS)}", file=sys.stderr)
         return 2
+    if settings.episodes < 1 or settings.seed < 0 or settings.seed + settings.episodes - 1 > LARGEST_SEED:
+        print(f"--episodes must be at least 1 and seeds lie in 0 .. {LARGEST_SEED:,}: choose another --seed", file=sys.stderr)
+        return 2
     try:
         make_layout(settings.rules.layout, settings.seed)
     except ImpossibleLayout as error:
@@ -103,16 +110,18 @@ def main(settings: CollectSettings) -> int:
             )
             return 2
     settings.to.mkdir(parents=True, exist_ok=True)
-    blocks = [
-        range(first, min(first + settings.block, settings.episodes + 1))
-        for first in range(1, settings.episodes + 1, settings.block)
-    ]
+    _remove_partial_logs(settings.to)
+    recorded = trajectories_hash(trajectories)
+    blocks = blocks_of(settings)
     waiting = []
     for block in blocks:
         path = log_path(settings, block)
         held = configuration_in(path) if path.exists() else {}
         if held and held["settings"] != configuration_of(settings, block)["settings"]:
             print(f"{path} was made with other settings: choose another folder with --to, or remove it", file=sys.stderr)
+            return 2
+        if held and held.get("trajectories", recorded) != recorded:
+            print(f"{path} replays other trajectories: choose another folder with --to, or remove it", file=sys.stderr)
             return 2
         if held.get("games") != len(block):
             waiting.append(block)
@@ -155,11 +164,29 @@ def main(settings: CollectSettings) -> int:
     return 0
 
 
-def configuration_of(settings: CollectSettings, block: range) -> dict[str, Any]:
+def blocks_of(settings: CollectSettings) -> list[range]:
+    """Return the episodes of each log, the first of all counted as 1."""
+    stop = settings.episodes + 1
+    return [range(first, min(first + settings.block, stop)) for first in range(1, stop, settings.block)]
+
+
+def configuration_of(
+    settings: CollectSettings, block: range, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES
+) -> dict[str, Any]:
     """Return what a log says of its making: nothing that depends on where or when it was made."""
     portable = replace(settings, to=Path(), from_logs=None, workers=0, episodes=0)
     plain = json.dumps(asdict(portable), default=lambda value: msgspec.to_builtins(value, enc_hook=str))
-    return {"settings": json.loads(plain), "games": len(block)}
+    return {"settings": json.loads(plain), "games": len(block), "trajectories": trajectories_hash(trajectories)}
+
+
+def trajectories_hash(trajectories: TrajectoriesBySplit) -> str:
+    """Return a hash of what `--hider replay` may play; empty when there is nothing."""
+    digest = hashlib.sha256()
+    for split in trajectories:
+        for primitives in split:
+            digest.update(len(primitives).to_bytes(8, "little") + primitives.tobytes())
+        digest.update(b"split")
+    return digest.hexdigest() if any(trajectories) else ""
 
 
 def configuration_in(path: Path) -> dict[str, Any]:
@@ -200,7 +227,7 @@ def play_block(settings: CollectSettings, block: range, path: Path, trajectories
     """Play a block of episodes into one log. Returns the number of steps played."""
 
     def make_policy(episode: Episode) -> HiderPolicy:
-        generator = np.random.default_rng([episode.seed, 0x41DE])
+        generator = policy_generator(episode.seed)
         return HIDERS[settings.hider](episode.rules.maximum_steps, generator, trajectories[split_of(episode.seed)])
 
     first = settings.seed + block[0] - 1  # episode numbers are seeds, so that they are unique over a whole collection
@@ -222,11 +249,10 @@ def play_block(settings: CollectSettings, block: range, path: Path, trajectories
     }
     metadata = RunMetadata(
         commit=source_commit(),
-        configuration=json.dumps(configuration_of(settings, block)),
+        configuration=json.dumps(configuration_of(settings, block, trajectories)),
         started=EPOCH + first * EPISODE_SPACING,
     )
-    partial = path.with_suffix(".partial")
-    partial.unlink(missing_ok=True)
+    partial = path.with_suffix(f".{os.getpid()}.partial")  # two processes never write the same file
     # No flush by the wall clock: chunks, and so the file's bytes, depend on the messages alone.
     with LogWriter(partial, metadata, compression="lz4", sync=False, flush_period=2**62) as writer:
         steps = play(cores, len(block), EPOCH + first * EPISODE_SPACING, writer)
@@ -234,9 +260,20 @@ def play_block(settings: CollectSettings, block: range, path: Path, trajectories
     return steps
 
 
+def _remove_partial_logs(folder: Path) -> None:
+    """Remove what workers that are no more left unfinished."""
+    for path in folder.glob("*.partial"):
+        writer = path.suffixes[-2][1:] if len(path.suffixes) > 1 else ""
+        if not (writer.isdecimal() and psutil.pid_exists(int(writer))):
+            path.unlink(missing_ok=True)
+
+
 def _work(
     settings: CollectSettings, blocks: list[range], trajectories: TrajectoriesBySplit, done: Queue[tuple[int, int]]
 ) -> None:
+    parent = multiprocessing.parent_process()
     for block in blocks:
+        if parent is not None and not parent.is_alive():  # killed: nobody waits for this
+            return
         steps = play_block(settings, block, log_path(settings, block), trajectories)
         done.put((len(block), steps))

@@ -8,14 +8,17 @@ import multiprocessing
 import shutil
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import lz4.block
+import lz4.frame
 import numpy as np
 import tyro
+from mcap.records import Chunk
+from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
@@ -25,6 +28,9 @@ from schemas import ROBOTS
 from vantage.log import find_logs, open_log, source_commit
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
 from vantage.perception.state_image import perceive
+
+Sizes = tuple[int, int, int]
+"""Games of the training, validation and test split."""
 
 TOPICS = EPISODE_TOPICS - {"tick", "hider/command", "seeker/command", "hider/view", "seeker/view"}
 
@@ -44,6 +50,15 @@ class ConvertSettings:
     """Processes; 0 = one for each core."""
 
 
+class TooFewGames(UnusableDataset):
+    """Fewer games can serve than are wanted; `lacking` says how many, hider -> by split."""
+
+    def __init__(self, lacking: dict[str, Sizes]) -> None:
+        self.lacking = lacking
+        counts = (f"{dict(zip(SPLITS, sizes, strict=True))} of `{hider}`" for hider, sizes in lacking.items())
+        super().__init__(f"the logs hold too few games, lacking are {', '.join(counts)}: gather more")
+
+
 @dataclass
 class Part:
     """The episodes of one log, with rows counted from 0."""
@@ -54,6 +69,7 @@ class Part:
     positions: list[NDArray[np.float32]] = field(default_factory=list)
     position_count: int = 0
     images: list[bytes] = field(default_factory=list)
+    plan_counts: list[int] = field(default_factory=list)  # of each episode
     left_out: Counter[str] = field(default_factory=Counter)
 
 
@@ -94,6 +110,7 @@ def _add(part: Part, game: EpisodeLog) -> None:
         part.plans.append((step, part.position_count, len(positions)))
         part.positions.append(positions)
         part.position_count += len(positions)
+    part.plan_counts.append(len(plan_steps))
     for step in range(last + 1):
         in_force = int(np.searchsorted(plan_steps, step, side="right")) - 1
         poses = []
@@ -132,20 +149,33 @@ def _convert_log(task: tuple[list[Path], Path]) -> tuple[dict[str, NDArray[Any]]
         "plans": np.array(part.plans, PLAN),
         "positions": np.concatenate(part.positions) if part.positions else np.empty((0, 3), np.float32),
         "lengths": np.array([len(image) for image in part.images], np.int64),
+        "plan_counts": np.array(part.plan_counts, np.int64),
     }
+    return tables, len(part.images), part.left_out, messages_hash(parts)
+
+
+def messages_hash(parts: Iterable[Path]) -> str:
+    """Return the SHA-256 of all that was said in a log: not of its file, which names the commit that made it."""
     digest = hashlib.sha256()
     for path in parts:
         with path.open("rb") as file:
-            while block := file.read(1 << 20):
-                digest.update(block)
-    return tables, len(part.images), part.left_out, digest.hexdigest()
+            for record in StreamReader(file, emit_chunks=True).records:
+                if isinstance(record, Chunk):
+                    digest.update(lz4.frame.decompress(record.data) if record.compression == "lz4" else record.data)
+    return digest.hexdigest()
 
 
-def convert(sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = False) -> dict[str, object]:
+def convert(
+    sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = False, wanted: Mapping[str, Sizes] | None = None
+) -> dict[str, object]:
     """Convert logs into a training set; returns its manifest.
+
+    Args:
+        wanted: hider -> how many of its games each split is to have: those of the lowest seeds. None = all games.
 
     Raises:
         FileNotFoundError: there are no logs.
+        TooFewGames: fewer games can serve than are wanted; what is in `to` is left as it was.
         UnusableDataset: no logs are named, or no game in them can serve, or `to` exists and is no training set: then it is
             not replaced.
     """
@@ -176,12 +206,26 @@ def convert(sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = F
             progress.advance(bar)
     tables = {name: np.concatenate([result[0][name] for result in results]) for name in results[0][0]}
     _shift_rows(tables, [result[0] for result in results])
+    lengths, kept = tables["lengths"], np.ones(len(tables["episodes"]), np.bool_)
+    if wanted is not None:
+        try:
+            kept = _chosen(tables["episodes"], wanted)
+        except TooFewGames:
+            shutil.rmtree(partial)
+            raise
+        left_out["beyond the wanted size"] += int((~kept).sum())
+    image_kept = np.repeat(np.repeat(kept, tables["episodes"]["steps"]), 2)
+    tables = _only(tables, kept, image_kept)
     digest = hashlib.sha256()
+    first = 0
     with (partial / "images.lz4").open("wb") as out:
-        for _, piece in tasks:
-            data = piece.read_bytes()
-            digest.update(data)
-            out.write(data)
+        for (_, piece), (_, count, _, _) in zip(tasks, results, strict=True):
+            own = slice(first, first := first + count)
+            data = np.frombuffer(piece.read_bytes(), np.uint8)
+            if not image_kept[own].all():
+                data = data[np.repeat(image_kept[own], lengths[own])]
+            digest.update(data.data)
+            out.write(data.data)
             piece.unlink()
     lengths = tables.pop("lengths")
     tables["offsets"] = np.concatenate([np.zeros(1, np.int64), np.cumsum(lengths, dtype=np.int64)])
@@ -239,9 +283,52 @@ def _shift_rows(tables: dict[str, NDArray[Any]], parts: list[dict[str, NDArray[A
             done[name] += len(part[name])
 
 
+def _chosen(episodes: NDArray[Any], wanted: Mapping[str, Sizes]) -> NDArray[np.bool_]:
+    """Return which episodes [n] make up the wanted sizes: of each hider and split those of the lowest seeds."""
+    kept = np.zeros(len(episodes), np.bool_)
+    lacking = {}
+    for hider, sizes in wanted.items():
+        of_hider = episodes["hider"] == hider.encode()[:32]
+        short = [0, 0, 0]
+        for split, size in enumerate(sizes):
+            rows = np.flatnonzero(of_hider & (episodes["split"] == split))
+            kept[rows[np.argsort(episodes["seed"][rows], kind="stable")][:size]] = True
+            short[split] = max(0, size - len(rows))
+        if any(short):
+            lacking[hider] = (short[0], short[1], short[2])
+    if lacking:
+        raise TooFewGames(lacking)
+    return kept
+
+
+def _only(tables: dict[str, NDArray[Any]], kept: NDArray[np.bool_], image_kept: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
+    """Return the tables without the episodes that are not kept [n]."""
+    steps, plans = image_kept[::2], np.repeat(kept, tables["plan_counts"])
+    only = {
+        "episodes": tables["episodes"][kept],
+        "steps": tables["steps"][steps],
+        "plans": tables["plans"][plans],
+        "positions": tables["positions"][np.repeat(plans, tables["plans"]["positions"])],
+        "lengths": tables["lengths"][image_kept],
+    }
+    in_force = only["steps"]["plan"]
+    in_force[:] = np.where(in_force >= 0, (np.cumsum(plans) - 1)[in_force], -1)
+    for table, count, row in (("episodes", "steps", "first_step"), ("plans", "positions", "first_position")):
+        counts = only[table][count].astype(np.int64)
+        only[table][row] = np.cumsum(counts) - counts
+    return only
+
+
+def warn_of_empty_splits(manifest: Mapping[str, Any]) -> None:
+    """Say on stderr which splits of a training set are empty."""
+    if empty := [split for split, count in manifest["episodes"].items() if not count]:
+        print(f"warning: no {' and no '.join(empty)} episodes: nothing can be drawn from there; gather more", file=sys.stderr)
+
+
 def main(settings: ConvertSettings) -> int:
     """Convert; returns the exit code."""
     manifest = convert(settings.logs, settings.to, settings.workers)
+    warn_of_empty_splits(manifest)
     print(f"{manifest['steps']} steps, episodes {manifest['episodes']}, by hider {manifest['hiders']}, in {settings.to}/")
     if manifest["left_out"]:
         print(f"left out: {manifest['left_out']}", file=sys.stderr)
