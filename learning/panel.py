@@ -1,26 +1,28 @@
-"""A picture of predictions: input, action maps, predicted and true seeker view, a row a sample."""
+"""A picture of predictions: input, action maps, predicted and true view, a row a sample."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-import matplotlib
-
-matplotlib.use("Agg")
-
 import numpy as np
-from matplotlib import pyplot
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from learning.dataset import Batch
-
-_TITLES = ("I_H at t0", "F", "T", "predicted I_S", "true I_S")
+from learning.dataset import Batch, Target
 
 
-def draw_panel(path: Path, batch: Batch, views: NDArray[np.uint8], rows: int = 6) -> None:
-    """Write a PNG of the first samples of a batch. `views` uint8 [B, 128, 128, 3]: predicted seeker views."""
+def draw_panel(path: Path, batch: Batch, views: NDArray[np.uint8], target: Target = "seeker", rows: int = 6) -> NDArray[np.uint8]:
+    """Write a PNG of the first samples of a batch, and return it, uint8 [height, width, 3].
+
+    Args:
+        views: the predicted ones, uint8 [B, 128, 128, 3].
+        target: whose views they are.
+    """
     rows = min(rows, len(views))
-    figure, axes = pyplot.subplots(rows, 5, figsize=(10, 2.1 * rows), squeeze=False)
+    figure = Figure(figsize=(10, 2.1 * rows), dpi=70)
+    canvas = FigureCanvasAgg(figure)
+    axes = figure.subplots(rows, 5, squeeze=False)
     for row, line in enumerate(axes):
         inputs = batch.inputs[row]
         frequency, time = (np.where(inputs[..., k + 1] > 0, inputs[..., k], 255) for k in (3, 5))
@@ -30,9 +32,10 @@ def draw_panel(path: Path, batch: Batch, views: NDArray[np.uint8], rows: int = 6
             axis.set_yticks([])
         line[0].set_ylabel(f"t0 {batch.samples.start[row]}, +{batch.samples.horizon[row]}")
         line[4].set_xlabel("caught" if batch.caught[row] else "free")
-    for axis, title in zip(axes[0], _TITLES, strict=True):
+    whose = "I_S" if target == "seeker" else "I_H"
+    for axis, title in zip(axes[0], ("I_H at t0", "F", "T", f"predicted {whose}", f"true {whose}"), strict=True):
         axis.set_title(title, fontsize=9)
     figure.tight_layout()
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=70)
-    pyplot.close(figure)
+    figure.savefig(path)
+    return np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -1,4 +1,4 @@
-"""`vantage train vpn`: learn to judge predicted seeker views (paper, Value Prediction Network). Reads from top to bottom."""
+"""`vantage train vpn`: learn to judge predicted views (paper, Value Prediction Network). Reads from top to bottom."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import math
 import os
 import time
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,116 +16,152 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from learning.dataset import Dataset, Samples, prefetch
+from learning.board import Board
+from learning.dataset import Batch, Dataset, Samples, prefetch
+from learning.group import join_group
 from learning.measures import accuracy, area_under_roc, balanced_accuracy
+from learning.recipe import VPN_PRESETS, VpnRecipe, rate_factor, vpn_notes_of
 from learning.splits import Split
+from learning.tensors import in_unit_range, on_device, shown_to
+from learning.trainer import VIEW_ARCHITECTURES
 from vantage.log import source_commit
-from vantage.networks.vpn import Vpn, VpnSettings
-from vantage.networks.vpt_tob import VptTob
-from vantage.networks.weights import card_of, fast_device, fast_precision, load, save
-
-
-@dataclass(frozen=True)
-class Recipe:
-    """How to train. The defaults are the paper's.
-
-    Attributes:
-        images: predicted views to learn from; a fifth as many to validate.
-        epochs: how often each is seen.
-        schedule: `steps` multiplies the learning rate by `drop` at 20 % and 50 % of the progress; `cosine` ends at zero.
-        symmetries: 4 = quarter turns (the paper), 8 = flips, too.
-        from_start: share of samples with t0 = 0.
-        on: `predictions` of VPT-TOB, or `true` views (an ablation).
-    """
-
-    network: VpnSettings = field(default_factory=VpnSettings)
-    images: int = 2000
-    epochs: int = 100
-    batch: int = 256
-    rate: float = 5e-4
-    schedule: Literal["steps", "cosine"] = "steps"
-    drop: float = 0.9
-    symmetries: int = 4
-    from_start: float = 0.5
-    on: Literal["predictions", "true"] = "predictions"
-
-
-PRESETS: dict[str, Recipe] = {
-    "paper": Recipe(),
-    "compact": Recipe(images=16_000, epochs=12, batch=64, rate=1e-3, schedule="cosine", symmetries=8),
-}
+from vantage.networks.inference import folded
+from vantage.networks.vector_action import VectorAction
+from vantage.networks.vpn import Vpn
+from vantage.networks.vpt_tob import ViewPredictor
+from vantage.networks.weights import card_of, fast_precision, load_any, save
 
 
 @dataclass(frozen=True)
 class TrainVpnSettings:
-    """Learn to judge the views that VPT-TOB predicts: is the hider caught?
+    """Learn to judge the views that a network predicts: is the hider caught?
 
-    Example: vantage train vpn --data dataset/ --vpt-tob weights/vpt-tob.safetensors --preset compact
+    Example: vantage train vpn --data dataset/ --views weights/vpt-tob.safetensors --preset compact
     """
 
     data: Path = Path("dataset")
     """The training set."""
-    vpt_tob: Path = Path("weights/vpt-tob.safetensors")
-    """Weights whose predictions it learns from."""
-    to: Path = Path("weights/vpn.safetensors")
-    """Where the weights go; the model card lies beside them."""
+    views: Path = Path("weights/vpt-tob.safetensors")
+    """Weights whose predictions it learns from: of any network that predicts a view."""
+    to: Path | None = None
+    """Where the weights go, in runs/ if not said; the model card lies beside them."""
     preset: Literal["paper", "compact"] = "paper"
-    """`paper`: the paper's recipe. `compact`: more images, fewer epochs."""
+    """`paper`: the paper's recipe. `compact`: a stream of fresh predictions, some minutes on a CPU core."""
+    minutes: float | None = None
+    """Train for this long instead of on a number of images (a stream only)."""
     images: int | None = None
     """Images to learn from, instead of the preset's number."""
     epochs: int | None = None
-    """Epochs, instead of the preset's number."""
+    """How often each is seen, instead of the preset's number."""
+    width: int | None = None
+    """Channels of the first convolution, instead of the preset's."""
+    rate: float | None = None
+    """Learning rate, instead of the preset's."""
+    drop: float | None = None
+    """Factor of the learning rate at 20 % and 50 % (preset `paper`): 0.9, 0.5 and 0.1 are the readings of the paper."""
     on: Literal["predictions", "true"] | None = None
     """Learn from predicted or from true views, instead of what the preset says."""
+    workspace: Path | None = None
+    """Folder of the checkpoint and of the curves for TensorBoard; runs/NAME if not said, as the weights are named."""
+    resume: bool = True
+    """Go on from the checkpoint, if the workspace holds one."""
+    report_every: int = 16_384
+    """Images learnt from between validations."""
     threads: int = 0
     """CPU threads; 0 = all cores."""
     seed: int = 1
 
 
-def rate_factor(recipe: Recipe, progress: float) -> float:
-    """Return the factor of the learning rate at this progress, 0..1."""
-    if recipe.schedule == "cosine":
-        return max(0.5 * (1.0 + math.cos(math.pi * progress)), 1e-3)
-    return recipe.drop ** sum(progress >= moment for moment in (0.20, 0.50))
+def resolve(settings: TrainVpnSettings) -> VpnRecipe:
+    """Return the preset with what the command line changes."""
+    names = ("images", "epochs", "rate", "drop", "on")
+    changed = {name: value for name in names if (value := getattr(settings, name)) is not None}
+    recipe = replace(VPN_PRESETS[settings.preset], **changed)
+    return replace(recipe, network=replace(recipe.network, width=settings.width)) if settings.width else recipe
 
 
-def pixels_of(views: NDArray[np.uint8], device: torch.device, precision: torch.dtype) -> Tensor:
-    """uint8 [B, 128, 128, C] -> [B, C, 128, 128] in 0 .. 1, channels last in memory."""
-    return torch.from_numpy(views).to(device).permute(0, 3, 1, 2).to(precision) * (1 / 255)
+class Views:
+    """Gives the views that a VPN learns from: predicted, as they are in play, or true.
+
+    Args:
+        predictor: None = the true views of the seeker.
+    """
+
+    def __init__(self, data: Dataset, predictor: ViewPredictor | None, device: torch.device) -> None:
+        self.data, self.device, self.precision = data, device, fast_precision(device)
+        self._vectors = isinstance(predictor, VectorAction)
+        self._predictor = predictor and folded(predictor).to(device, self.precision).to(memory_format=torch.channels_last)  # type: ignore[call-overload]
+
+    def render(self, samples: Samples) -> Batch:
+        """Return what the predictor is shown."""
+        return self.data.render(samples, vectors=self._vectors)
+
+    @torch.inference_mode()
+    def of(self, batch: Batch) -> Tensor:
+        """Return views, uint8 [B, 128, 128, 3] on the device."""
+        if self._predictor is None:
+            return on_device(batch.targets, self.device)
+        inputs, vectors = on_device(batch.inputs, self.device), on_device(batch.vectors, self.device).to(self.precision)
+        views = self._predictor(*shown_to(self._predictor, inputs, vectors, self.precision))
+        return views.float().mul(255).round().byte().permute(0, 2, 3, 1).contiguous()
+
+    def gather(self, split: Split, count: int, from_start: float, seed: int, size: int = 64) -> tuple[Tensor, NDArray[np.bool_]]:
+        """Return views uint8 [count, 128, 128, 3] of samples of a split, upright, and whether the hider is caught in them."""
+        samples = self.data.draw(split, count, np.random.default_rng([seed, count]), from_start, symmetries=1)
+        parts = prefetch(lambda: (self.render(samples.part(at, at + size)) for at in range(0, count, size)))
+        return torch.cat([self.of(batch) for batch in parts]), samples.caught
+
+
+Learnt = tuple[Tensor, Tensor]
+"""Views uint8 [B, 128, 128, 3], and whether the hider is caught in them, float [B]."""
+
+
+def repeated(views: Views, recipe: VpnRecipe, seed: int, seen: int) -> Iterator[Learnt]:
+    """Yield batches of a fixed set of images, in another order each epoch."""
+    images, truth = views.gather("train", recipe.images, recipe.from_start, seed)
+    caught = torch.from_numpy(truth).float().to(views.device)
+    at = seen
+    while True:
+        epoch, first = divmod(at, recipe.images)
+        order = torch.from_numpy(np.random.default_rng([seed, epoch]).permutation(recipe.images)).to(views.device)
+        chosen = order[first : first + recipe.batch]
+        yield images[chosen], caught[chosen]
+        at += len(chosen)
+
+
+def streamed(views: Views, recipe: VpnRecipe, seed: int, seen: int) -> Iterator[Learnt]:
+    """Yield batches of fresh predictions: each batch that is predicted goes into a pool of the latest ones, from which `epochs`
+    batches are drawn."""
+    size = recipe.batch
+    pool = torch.empty(recipe.pool, 128, 128, 3, dtype=torch.uint8, device=views.device)
+    caught = torch.empty(recipe.pool, device=views.device)
+
+    def rendered() -> Iterator[Batch]:
+        number = seen // (size * recipe.epochs)
+        while True:
+            generator = np.random.default_rng([seed, number])
+            drawn = views.data.draw("train", size, generator, recipe.from_start, symmetries=recipe.symmetries)
+            yield views.render(drawn)
+            number += 1
+
+    generator = np.random.default_rng([seed, seen, 1])
+    for number, batch in enumerate(prefetch(rendered)):
+        places = torch.arange(number * size, (number + 1) * size, device=views.device) % recipe.pool
+        pool[places], caught[places] = views.of(batch), on_device(batch.caught, views.device).float()
+        filled = min((number + 1) * size, recipe.pool)
+        if filled < min(8 * size, recipe.pool):
+            continue
+        for _ in range(recipe.epochs):
+            chosen = torch.from_numpy(generator.integers(filled, size=size)).to(views.device)
+            yield pool[chosen], caught[chosen]
 
 
 @torch.inference_mode()
-def predict_views(network: VptTob, data: Dataset, samples: Samples, device: torch.device, size: int = 64) -> Iterator[Tensor]:
-    """Yield the views [B, 3, 128, 128] that VPT-TOB predicts for samples, batch by batch."""
-    precision = fast_precision(device)
-    for batch in prefetch(lambda: data.batches(samples, size)):
-        with torch.autocast(device.type, precision, enabled=precision != torch.float32):
-            yield network(pixels_of(batch.inputs, device, precision))
-
-
-def gather_views(
-    recipe: Recipe, network: VptTob | None, data: Dataset, split: Split, count: int, device: torch.device, seed: int
-) -> tuple[NDArray[np.uint8], NDArray[np.bool_]]:
-    """Return views uint8 [count, 128, 128, 3], predicted or true, and whether the hider is caught in them [count]."""
-    samples = data.draw(split, count, np.random.default_rng([seed, count]), recipe.from_start, symmetries=1)
-    if network is None:
-        return np.concatenate([batch.targets for batch in data.batches(samples, 256)]), samples.caught
-    views = np.empty((count, 128, 128, 3), np.uint8)
-    at, told = 0, time.monotonic()
-    for predicted in predict_views(network, data, samples, device):
-        views[at : at + len(predicted)] = predicted.float().mul(255).round().byte().permute(0, 2, 3, 1).cpu().numpy()
-        at += len(predicted)
-        if time.monotonic() - told > 10:
-            told = time.monotonic()
-            print(f"predicting {split} views: {at:,} of {count:,}", flush=True)
-    return views, samples.caught
-
-
-@torch.inference_mode()
-def judge_views(network: Vpn, views: NDArray[np.uint8], device: torch.device, size: int = 256) -> NDArray[np.float32]:
+def judge(network: Vpn, views: Tensor, size: int = 256) -> NDArray[np.float32]:
     """Return the logits of "caught" [N] for views uint8 [N, 128, 128, 3]."""
     network.eval()
-    parts = [network(pixels_of(views[at : at + size], device, torch.float32)).cpu() for at in range(0, len(views), size)]
+    parts = [network(in_unit_range(views[at : at + size], torch.float32)).cpu() for at in range(0, len(views), size)]
+    network.train()
     return torch.cat(parts).numpy()
 
 
@@ -133,71 +169,108 @@ def main(settings: TrainVpnSettings) -> int:
     """Train; returns the exit code."""
     torch.set_num_threads(settings.threads or os.cpu_count() or 1)
     torch.manual_seed(settings.seed)
-    device, data = fast_device(), Dataset(settings.data)
+    device, data, recipe = join_group().device, Dataset(settings.data), resolve(settings)
     precision = fast_precision(device)
-    changed = {name: value for name in ("images", "epochs", "on") if (value := getattr(settings, name)) is not None}
-    recipe = replace(PRESETS[settings.preset], **changed)
-
-    predictor, inputs = None, {}
+    predictor, inputs, name = None, dict[str, str](), "true-vpn"
     if recipe.on == "predictions":
-        predictor, predictor_card = load(settings.vpt_tob, VptTob)
-        predictor = predictor.to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        inputs = {settings.vpt_tob.name: predictor_card.sha256}
-    views, caught = gather_views(recipe, predictor, data, "train", recipe.images, device, settings.seed)
-    held_views, held_caught = gather_views(recipe, predictor, data, "validation", recipe.images // 5, device, settings.seed)
-    print(f"{recipe.images:,} {recipe.on}, caught in {caught.mean():.1%} (validation: {held_caught.mean():.1%})", flush=True)
-
+        predictor, predictor_card = load_any(settings.views, VIEW_ARCHITECTURES)
+        inputs = {settings.views.name: predictor_card.sha256}
+        name = "vpn" if settings.views.stem == "vpt-tob" else f"{settings.views.stem}-vpn"
+    to = settings.to or Path("runs", f"{name}.safetensors")
+    workspace = settings.workspace or Path("runs", to.stem)
+    views = Views(data, predictor, device)
     network = Vpn(recipe.network).to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
     optimizer = torch.optim.Adam(network.parameters(), recipe.rate, fused=True)
-    generator = np.random.default_rng(settings.seed)
-    best, started = math.inf, time.monotonic()
-    for epoch in range(recipe.epochs):
-        network.train()
-        order, total = generator.permutation(len(views)), 0.0
-        for at in range(0, len(order), recipe.batch):
-            chosen = order[at : at + recipe.batch]
-            pixels = pixels_of(views[chosen], device, precision)
-            pixels = torch.rot90(pixels, int(generator.integers(4)), (2, 3))  # the whole batch: as good, and in one call
-            if recipe.symmetries == 8 and generator.random() < 0.5:
-                pixels = pixels.flip(3)
-            for group in optimizer.param_groups:
-                group["lr"] = recipe.rate * rate_factor(recipe, (epoch + at / len(order)) / recipe.epochs)
-            with torch.autocast(device.type, precision, enabled=precision != torch.float32):
-                logits = network(pixels.contiguous(memory_format=torch.channels_last))
-            truth = torch.from_numpy(caught[chosen]).to(device).float()
-            loss = functional.binary_cross_entropy_with_logits(logits.float(), truth)
-            loss.backward()
-            optimizer.step()
-            optimizer.zero_grad(set_to_none=True)
-            total += loss.item() * len(chosen)
 
-        scores = judge_views(network, held_views, device)
-        held_loss = float(np.logaddexp(0.0, np.where(held_caught, -scores, scores)).mean())
-        better = held_loss < best
-        left = (time.monotonic() - started) / (epoch + 1) * (recipe.epochs - epoch - 1)
+    checkpoint = workspace / "checkpoint.pt"
+    identity = {
+        "recipe": asdict(replace(recipe, images=0 if recipe.stream else recipe.images)),
+        "data": data.hash,
+        "views": inputs,
+    }
+    seen, trained, best, best_measures = 0, 0.0, math.inf, dict[str, float]()  # images learnt from, seconds
+    if settings.resume and checkpoint.exists():
+        saved = torch.load(checkpoint, map_location=device, weights_only=True)
+        if saved["identity"] != identity:
+            print(f"{checkpoint} is of another recipe, training set or predictor: choose another --workspace, or --no-resume")
+            return 1
+        network.load_state_dict(saved["network"])
+        optimizer.load_state_dict(saved["optimizer"])
+        seen, trained, best, best_measures = saved["seen"], saved["trained"], saved["best"], saved["best_measures"]
+        print(f"going on after {seen:,} images, {trained / 60:.1f} minutes", flush=True)
+    board = Board(workspace, seen)
+
+    held_views, held_caught = views.gather("validation", recipe.held, recipe.from_start, settings.seed)
+    how = "a stream of" if recipe.stream else "a fixed set of"
+    what = "true views" if predictor is None else f"predictions of {settings.views}"
+    print(f"{how} {recipe.images:,} {what}, each {recipe.epochs} times; {len(held_caught):,} to validate", flush=True)
+    print(f"caught in {held_caught.mean():.1%} of the views to validate", flush=True)
+
+    def progress() -> float:
+        return trained / (60 * settings.minutes) if settings.minutes else seen / (recipe.images * recipe.epochs)
+
+    def write_checkpoint() -> None:
+        state = {"identity": identity, "network": network.state_dict(), "optimizer": optimizer.state_dict()}
+        counts = {"seen": seen, "trained": trained, "best": best, "best_measures": best_measures}
+        torch.save({**state, **counts}, checkpoint.with_suffix(".partial"))
+        os.replace(checkpoint.with_suffix(".partial"), checkpoint)
+
+    def save_weights() -> None:
+        card = card_of(network)
+        card.preset, card.commit, card.metrics, card.inputs = settings.preset, source_commit(), best_measures, inputs
+        card.data = {key: data.manifest[key] for key in ("hash", "episodes", "hiders", "seekers", "layouts", "horizons")}
+        run = {"images seen": seen, "minutes": trained / 60, "device": str(device), "seed": settings.seed}
+        card.training = {**asdict(recipe), **run}
+        card.training.pop("network")
+        card.notes = vpn_notes_of(recipe)
+        save(network, to, card)
+
+    stream = (streamed if recipe.stream else repeated)(views, recipe, settings.seed, seen)
+    generator = np.random.default_rng([settings.seed, seen, 2])
+    loss_sum, since, clock = torch.zeros((), device=device), 0, time.monotonic()  # since the last report
+    done = progress()
+    while done < 1.0:
+        shown, truth = next(stream)
+        pixels = torch.rot90(in_unit_range(shown, precision), int(generator.integers(4)), (2, 3))  # the whole batch in one call
+        if recipe.symmetries == 8 and generator.random() < 0.5:
+            pixels = pixels.flip(3)
+        for group in optimizer.param_groups:
+            group["lr"] = recipe.rate * rate_factor(recipe, done)
+        with torch.autocast(device.type, precision, enabled=precision != torch.float32):
+            logits = network(pixels.contiguous(memory_format=torch.channels_last))
+        loss = functional.binary_cross_entropy_with_logits(logits.float(), truth)
+        loss.backward()
+        optimizer.step()
+        optimizer.zero_grad(set_to_none=True)
+        loss_sum += loss.detach() * len(truth)
+        seen, since = seen + len(truth), since + len(truth)
+        trained, clock = trained + time.monotonic() - clock, time.monotonic()
+        done = progress()
+        if since < settings.report_every and done < 1.0:
+            continue
+
+        scores = judge(network, held_views)
         measures = {
-            "loss": held_loss,
+            "loss": float(np.logaddexp(0.0, np.where(held_caught, -scores, scores)).mean()),
             "accuracy": accuracy(scores > 0, held_caught),
             "balanced accuracy": balanced_accuracy(scores > 0, held_caught),
             "AUROC": area_under_roc(scores, held_caught),
             "majority class": float(max(held_caught.mean(), 1 - held_caught.mean())),
         }
-        parts = "  ".join(f"{name} {value:.4f}" for name, value in measures.items())
+        better = measures["loss"] < best
+        if better:
+            best, best_measures = measures["loss"], measures
+            save_weights()
+        write_checkpoint()
+        learnt, left = loss_sum.item() / since, trained * (1 / max(done, 1e-9) - 1) / 60
+        board.curves({**{f"validation/{key}": value for key, value in measures.items()}, "training/loss": learnt}, seen)
+        parts = "  ".join(f"{key} {value:.4f}" for key, value in measures.items())
         print(
-            f"epoch {epoch + 1:>3} of {recipe.epochs}  {left / 60:4.1f} min left  loss {total / len(views):.4f}"
+            f"{100 * done:5.1f} %  {seen:>9,} images  {max(left, 0):4.1f} min left  loss {learnt:.4f}"
             f"  validation: {parts}{'  * saved' if better else ''}",
             flush=True,
         )
-        if better:
-            best = held_loss
-            card = card_of(network)
-            card.preset, card.commit, card.metrics, card.inputs = settings.preset, source_commit(), measures, inputs
-            card.data = {key: data.manifest[key] for key in ("hash", "episodes", "hiders", "seekers", "layouts", "horizons")}
-            card.data["caught share of the images"] = float(caught.mean())
-            card.training = {**asdict(recipe), "epochs seen": epoch + 1, "device": str(device), "seed": settings.seed}
-            card.training.pop("network")
-            if settings.preset != "paper":
-                card.notes = ["Not the paper's recipe: more images, fewer epochs, cosine schedule, flips beside quarter turns."]
-            save(network, settings.to, card)
-    print(f"weights in {settings.to}")
+        loss_sum, since, clock = torch.zeros((), device=device), 0, time.monotonic()
+    board.close()
+    print(f"best validation: {best_measures}; weights in {to}")
     return 0

@@ -13,8 +13,10 @@ from learning.collect import CollectSettings, play_block
 from learning.convert import convert
 from learning.dataset import Dataset
 from learning.group import Group
-from learning.recipe import PRESETS, Recipe, rate_factor
-from learning.train_vpt_tob import Trainer, TrainVptTobSettings
+from learning.recipe import PRESETS, VPN_PRESETS, Recipe, VpnRecipe, notes_of, rate_factor
+from learning.tensors import Tensors, tensors_of
+from learning.train_vpt_tob import TrainVptTobSettings
+from learning.trainer import Model, Trainer
 from schemas import Rules
 from vantage.networks.inference import Inference
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
@@ -44,28 +46,60 @@ def test_the_recipe_paper_is_the_papers() -> None:
     assert recipe.network == VptTobSettings()
     factors = [rate_factor(recipe, progress) for progress in (0.0, 0.24, 0.25, 0.64, 0.65, 1.0)]
     assert factors == pytest.approx([1, 1, 0.9, 0.9, 0.81, 0.81])
-    assert train_vpn.PRESETS["paper"] == train_vpn.Recipe(images=2000, epochs=100, batch=256, rate=5e-4, symmetries=4)
-    assert train_vpn.rate_factor(train_vpn.PRESETS["paper"], 0.5) == pytest.approx(0.81)
+    assert notes_of(recipe) == ["The paper's network.", "The paper's recipe."]
+    assert replace(PRESETS["whole-image"], network=VptTobSettings()) == recipe
+    assert PRESETS["whole-image"].network == VptTobSettings(whole_image=True)
+    vpn = VPN_PRESETS["paper"]
+    assert vpn == VpnRecipe(images=2000, epochs=100, batch=256, rate=5e-4, symmetries=4, held=400, stream=False)
+    assert [rate_factor(vpn, progress) for progress in (0.19, 0.2, 0.5)] == pytest.approx([1, 0.9, 0.81])
 
 
-@pytest.mark.parametrize("recipe", [SMALL, Recipe(network=VptTobSettings(width=0.25), batch=8)])
-def test_it_learns_one_batch_by_heart(dataset: Dataset, recipe: Recipe) -> None:
-    trainer = Trainer(recipe, ALONE, compiled=False, seed=0)
-    batch = dataset.render(dataset.draw("train", 8, np.random.default_rng(0)))
+@pytest.mark.parametrize("drop", [0.9, 0.5, 0.1])
+def test_the_readings_of_the_learning_rate_are_settings_and_told(drop: float) -> None:
+    settings = TrainVptTobSettings(preset="compact", schedule="steps", drop=drop)
+    recipe = train_vpt_tob.resolve(settings)
+    assert [rate_factor(recipe, progress) for progress in (0.0, 0.3, 0.7)] == pytest.approx([1, drop, drop**2])
+    assert any(f"times {drop:g}" in note for note in notes_of(recipe)) is (drop != 0.9)
+
+
+def rendered(dataset: Dataset, number: int, model: Model = "vpt-tob") -> Tensors:
+    samples = dataset.draw("train", 8, np.random.default_rng(number))
+    target = "hider" if model == "self-perspective" else "seeker"
+    return tensors_of(dataset.render(samples, target, model == "vector-action"), ALONE.device)
+
+
+PLAIN = Recipe(network=VptTobSettings(width=0.25), batch=8)
+
+
+@pytest.mark.parametrize(
+    ("model", "recipe"),
+    [("vpt-tob", SMALL), ("vpt-tob", PLAIN), ("self-perspective", PLAIN), ("vector-action", PLAIN), ("vector-action", SMALL)],
+)
+def test_it_learns_one_batch_by_heart(dataset: Dataset, model: Model, recipe: Recipe) -> None:
+    trainer = Trainer(model, recipe, ALONE, compiled=False, seed=0)
+    batch = rendered(dataset, 0, model)
     losses = [float(trainer.learn(batch, 3.0)) for _ in range(25)]
     assert losses[-1] < 0.6 * losses[0]
+    assert trainer.network.architecture == model
 
 
 def test_a_restored_trainer_goes_on_as_if_never_stopped(dataset: Dataset) -> None:
-    batches = [dataset.render(dataset.draw("train", 8, np.random.default_rng(number))) for number in range(4)]
-    straight = Trainer(SMALL, ALONE, compiled=False, seed=0)
+    batches = [rendered(dataset, number) for number in range(4)]
+    straight = Trainer("vpt-tob", SMALL, ALONE, compiled=False, seed=0)
     for batch in batches[:2]:
         straight.learn(batch, 1.0)
     state = straight.state()
-    resumed = Trainer(SMALL, ALONE, compiled=False, seed=5)
+    resumed = Trainer("vpt-tob", SMALL, ALONE, compiled=False, seed=5)
     resumed.restore({name: None if part is None else _copied(part) for name, part in state.items()})
     for batch in batches[2:]:
         assert float(straight.learn(batch, 0.5)) == float(resumed.learn(batch, 0.5))
+
+
+def tags(workspace: Path) -> set[str]:
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    found = EventAccumulator(str(workspace)).Reload().Tags()
+    return {*found["scalars"], *found["images"]}
 
 
 def _copied(state: dict[str, object]) -> dict[str, object]:
@@ -95,6 +129,7 @@ def test_from_training_to_answers_and_results(
     assert card.training["samples"] <= 96
     assert any("Not the paper's network" in note for note in card.notes)
     assert (tmp_path / "run" / "latest.png").stat().st_size > 10_000
+    assert {"validation/loss", "training/loss", "predictions"} <= tags(tmp_path / "run")
     printed = capsys.readouterr().out
     assert "50.0 %" in printed and "100.0 %" in printed and "min left" in printed
 
@@ -111,10 +146,23 @@ def test_from_training_to_answers_and_results(
     capsys.readouterr()
 
     learn = train_vpn.TrainVpnSettings(
-        data=dataset.folder, vpt_tob=settings.to, to=weights / "vpn.safetensors", images=64, epochs=2, threads=1
+        data=dataset.folder,
+        views=settings.to,
+        to=weights / "vpn.safetensors",
+        preset="compact",
+        images=1024,
+        epochs=1,
+        report_every=512,
+        workspace=tmp_path / "vpn",
+        threads=1,
     )
+    monkeypatch.setitem(VPN_PRESETS, "compact", replace(VPN_PRESETS["compact"], held=100))
     assert train_vpn.main(learn) == 0
-    assert "caught in" in capsys.readouterr().out
+    assert "a stream of 1,024 predictions" in capsys.readouterr().out
+    assert train_vpn.main(replace(learn, images=1280)) == 0  # goes on from the checkpoint
+    assert "going on after 1,024 images" in capsys.readouterr().out
+    assert read_card(learn.to).inputs == {"vpt-tob.safetensors": read_card(settings.to).sha256}
+    assert "validation/accuracy" in tags(tmp_path / "vpn")
     inference = Inference.of_weights(weights, batch=2, threads=1)
     assert np.isfinite(inference.answer(np.array([0]))[0]).all()
 

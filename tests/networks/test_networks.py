@@ -5,9 +5,11 @@ import pytest
 import torch
 from torch import nn
 
-from learning.train_vpn import pixels_of
+from learning.tensors import in_unit_range
 from vantage.networks import inference
+from vantage.networks.action_vector import VECTOR_LENGTH
 from vantage.networks.inference import Inference, folded
+from vantage.networks.vector_action import VectorAction, VectorActionSettings
 from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
 
@@ -39,6 +41,24 @@ def test_views_are_pictures_and_the_head_is_a_logit(settings: VptTobSettings) ->
     assert Vpn()(view).shape == (2,)
 
 
+def test_the_vector_action_baseline_is_vpt_tob_with_numbers_for_its_action_maps() -> None:
+    torch.manual_seed(0)
+    network, paper = VectorAction().eval(), VptTob()
+    assert network.settings.vector == VECTOR_LENGTH
+    kinds = [[type(layer) for layer in half.modules()] for half in (network.encoder, network.ups, network.coarse)]
+    assert kinds == [[type(layer) for layer in half.modules()] for half in (paper.encoder, paper.ups, paper.coarse)]
+    assert convolutions(network.encoder)[0].in_channels == 3  # type: ignore[union-attr]
+    view, vector = torch.rand(1, 3, 128, 128), torch.rand(1, VECTOR_LENGTH)
+    bottleneck = network.encode(view, vector)[0]
+    embedded = bottleneck[-network.settings.embedding :]
+    assert torch.equal(embedded, embedded[:, :1, :1].expand_as(embedded))  # the same at every place
+    other = network(view, torch.rand(1, VECTOR_LENGTH)) - network(view, vector)
+    assert (other.abs().amax(dim=(0, 1)) > 0).float().mean() > 0.99  # the plan is told to the whole picture
+    small = VectorAction(VectorActionSettings(width=0.25, whole_image=True, caught_head=True))
+    picture, caught = small.forward_with_head(torch.rand(2, 3, 128, 128), torch.rand(2, VECTOR_LENGTH))
+    assert caught is not None and (picture.shape, caught.shape) == ((2, 3, 128, 128), (2,))
+
+
 @pytest.mark.parametrize("whole", [False, True])
 def test_only_the_deeper_sibling_sees_the_opposite_corner(whole: bool) -> None:
     torch.manual_seed(0)
@@ -67,7 +87,7 @@ def test_what_answers_in_play_is_what_was_trained(monkeypatch: pytest.MonkeyPatc
     torch.manual_seed(0)
     vpt_tob, vpn = VptTob(SMALL), Vpn(VpnSettings(width=4)).eval()
     shown = np.random.default_rng(0).integers(0, [[[[10]]], [[[120]]], [[[255]]]], (3, 128, 128, 7)).astype(np.uint8)
-    pixels = pixels_of(shown, torch.device("cpu"), torch.float32)
+    pixels = in_unit_range(torch.from_numpy(shown), torch.float32)
     with torch.no_grad():  # untrained networks say nearly the same of everything: make these tell the three apart
         for layer in vpt_tob.modules():
             if isinstance(layer, nn.BatchNorm2d):
