@@ -133,14 +133,12 @@ def plan(settings: GatherSettings, wanted: dict[str, Sizes], spare: dict[str, Si
     """
     rules = Rules(maximum_steps=settings.steps, layout=settings.layout)
     evader_seed = settings.seed + EVADER_FIRST_SEED
-    recordings = max(sum(wanted["replay"]) // REPLAYS_PER_RECORDING, games_needed(evader_seed, (1, 1, 1)))
-
-    def whole_logs(games: int) -> int:
-        return math.ceil(games / settings.block) * settings.block
+    whole_logs = sum(wanted["replay"]) // REPLAYS_PER_RECORDING // settings.block
+    recordings = max(whole_logs * settings.block, games_needed(evader_seed, (1, 1, 1)))
 
     def of(hider: str, first: int, games: int, rules: Rules, folder: str, source: Path | None = None) -> CollectSettings:
         return CollectSettings(
-            episodes=whole_logs(games),
+            episodes=math.ceil(games / settings.block) * settings.block,
             hider=hider,
             seeker=settings.seeker,
             to=settings.to / folder,
