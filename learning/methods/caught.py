@@ -64,6 +64,8 @@ class Hazard:
         """Return logits of "caught" [B]; see `caught_logits` for horizons between and beyond the checkpoints."""
         plans = np.stack([questions.view_of, questions.first, questions.last], axis=1)
         _, rows, plan_of = np.unique(plans, axis=0, return_index=True, return_inverse=True)
+        if not len(questions):
+            return np.zeros(0, np.float32)
         conditional = self.conditional(questions.chosen(rows))
         return caught_logits(conditional[plan_of.ravel()], questions.horizons, self._network.settings.spacing)
 

@@ -22,8 +22,8 @@ AnyModule = TypeVar("AnyModule", bound=nn.Module)
 class Machine:
     """A device, a precision and a number of threads.
 
-    Every part has the same size, the last one filled up: what a question is answered does not depend on how many others were
-    asked with it, nor on the number of threads.
+    Every part has the same size, the last one filled up: answers do not depend on the number of threads, and on what else is
+    asked no more than by rounding.
 
     Attributes:
         size: questions in one part.
