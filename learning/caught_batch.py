@@ -1,0 +1,56 @@
+"""What the networks that say "caught" themselves learn from: rendered samples, with the outcome of their plans."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from learning.dataset import Dataset, Samples
+from schemas import STATE_IMAGE_SIZE
+from vantage.networks.action_vector import VECTOR_LENGTH, render_vectors
+from vantage.networks.coordinate_value import CoordinateValue
+from vantage.networks.hazard import Hazard
+from vantage.networks.inputs import CHANNELS, render_inputs, render_targets
+
+
+def plan_labels(
+    data: Dataset, samples: Samples, checkpoints: int = 20, spacing: int = 10
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Return v at the checkpoints k = 1 .. K, k * spacing - 1 steps after t0, and whether it is known there. Both [B, K].
+
+    It is known where the plan in force reaches and the game would have gone on: a catch past that counts no more than an
+    escape, or catches would be seen more often than they happen.
+    """
+    steps = spacing * np.arange(1, checkpoints + 1) - 1
+    caught = data.caught(samples.episode[:, None], samples.start[:, None] + steps)
+    return caught, steps <= data.longest_horizon(samples.episode, samples.start)[:, None]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Rendered samples: what a network is shown, and what it is to say."""
+
+    images: NDArray[np.uint8]  # [B, 128, 128, C]: hazard, view, F and T of the whole plan; coordinate-value, the view
+    vectors: NDArray[np.float32]  # [B, 121], or [B, 0] for the hazard network
+    caught: NDArray[np.bool_]  # [B, K] at the checkpoints, or [B, 1] at the horizon
+    known: NDArray[np.bool_]  # as `caught`
+    samples: Samples
+
+
+def render(network: Hazard | CoordinateValue, data: Dataset, samples: Samples) -> Batch:
+    """Render samples as the network is shown them."""
+    count = len(samples)
+    if isinstance(network, Hazard):
+        plans = data.questions(replace(samples, horizon=data.longest_horizon(samples.episode, samples.start)))
+        images = np.empty((count, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, CHANNELS), np.uint8)
+        render_inputs(plans.views, plans.view_of, plans.positions, plans.first, plans.horizons, samples.symmetry, images)
+        caught, known = plan_labels(data, samples, network.settings.checkpoints, network.settings.spacing)
+        return Batch(images, np.empty((count, 0), np.float32), caught, known, samples)
+    asked = data.questions(samples)
+    images = np.empty((count, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3), np.uint8)
+    render_targets(asked.views[asked.view_of], samples.symmetry, images, np.empty(images.shape[:3], np.bool_))
+    vectors = np.empty((count, VECTOR_LENGTH), np.float32)
+    render_vectors(asked.positions, asked.first, asked.horizons, samples.symmetry, vectors)
+    return Batch(images, vectors, samples.caught[:, None], np.ones((count, 1), np.bool_), samples)
