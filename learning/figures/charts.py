@@ -121,8 +121,8 @@ def table_two(maps: Result) -> Figure:
     """Draw the relative ranking accuracy over T: as in the paper, and without the ties of the truth."""
     horizons = maps["horizons"]
     caption = (
-        "Value maps by summed probabilities, mean over starts. Dotted: another simulation of the same starts. Networks are trained "
-        "on at most 200 steps."
+        "Value maps by summed probabilities, mean over starts. Dotted: another simulation of the same starts. Networks are "
+        "trained on at most 200 steps."
     )
     figure = new_figure(5.6, "Which of two goals is safer? Relative ranking accuracy (Table II)", caption)
     measures = (("with_ties", "equality included, as in the paper"), ("without_ties", "pairs that differ in the truth"))

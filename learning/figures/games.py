@@ -220,10 +220,9 @@ def side_by_side(data: Dataset, methods: list[Method], game: Shown) -> Figure:
     ahead = np.arange(0, last, max(last // 50, 1))
     axes = figure.add_subplot(figure.add_gridspec(1, 1, left=0.62, right=0.985, **edges)[0])
     asked = data.questions(samples_of(game, ahead))
-    for method in methods:
-        axes.plot(
-            ahead, 100 * _probability(method.judge(asked)), color=color_of(method.name), linewidth=2, label=title_of(method.name)
-        )
+    for one in methods:
+        risk = 100 * _probability(one.judge(asked))
+        axes.plot(ahead, risk, color=color_of(one.name), linewidth=2, label=title_of(one.name))
     if game.caught is not None:
         axes.axvline(game.caught, color="black", linewidth=1, linestyle="--", label="the catch")
     axes.set_xlabel("steps ahead", fontsize=11)

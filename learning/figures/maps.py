@@ -41,7 +41,7 @@ def value_maps(found: Arrays, layout: str, rows: int = 4, horizon: int = 0) -> F
     caption = (
         f"Safety: how many of {count} checkpoints (one every {CHECKPOINTS_EVERY} steps) the hider is expected to reach free, for "
         "each of 121 goals. Star: the goal chosen; green and red disc: hider and seeker at the start.\n"
-        "The first column is the mean of simulations; below each map: pairs of goals in the true order (ties in the truth left out)."
+        "First column: the mean of simulations; below each map: pairs of goals in the true order, ties in the truth left out."
     )
     columns = 1 + len(methods)
     side = min((14.4 - 1.2) / columns, 3.0)

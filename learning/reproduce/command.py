@@ -55,7 +55,7 @@ def main(settings: ReproduceSettings) -> int:
     """Reproduce; returns the exit code."""
     folder = settings.to or Path("reproduction") / settings.preset
     preset, machine = PRESETS[settings.preset], Machine.here()
-    stages = stages_of(preset, machine)
+    stages = stages_of(settings.preset, preset, machine)
     display = Display(Console(highlight=False))
     runner = Runner(stages, folder, settings.jobs or (1 if machine.gpu else machine.cores), settings.have, display.show)
     if settings.list:

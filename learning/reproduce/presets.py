@@ -45,9 +45,11 @@ class Group:
         networks: preset of networks and recipes.
         samples: each network sees.
         vpn: images and epochs of each VPN; None = as its preset has it.
+        batch: samples a step; None = as the preset has it.
         drop: factor of the learning rate at each drop; None = as the preset has it.
         kind: name of the kind of data; empty = the main one.
         maps: judge its value maps, too.
+        vpn_on_true: ablation: also a VPN that learns from true views, judged on predictions.
     """
 
     name: str
@@ -55,9 +57,11 @@ class Group:
     networks: NetworkPreset
     samples: int
     vpn: tuple[int, int] | None = None
+    batch: int | None = None
     drop: float | None = None
     kind: str = ""
     maps: bool = False
+    vpn_on_true: bool = False
 
 
 @dataclass(frozen=True)
@@ -91,9 +95,9 @@ _PAPER_GAMES = (4500, 500, 500)
 _MAIN = Kind("glancing", "random", 200, _PAPER_GAMES)
 
 
-def _rates(samples: int, networks: NetworkPreset, model: Model) -> tuple[Group, ...]:
+def _rates(samples: int, model: Model, batch: int | None = None) -> tuple[Group, ...]:
     """Return the ablation of the learning rate: "decrease the learning rate by 10 %" read as x0.9, x0.5 and x0.1."""
-    return tuple(Group(f"drop-{drop:g}", (model,), networks, samples, drop=drop) for drop in (0.9, 0.5, 0.1))
+    return tuple(Group(f"drop-{drop:g}", (model,), "paper", samples, batch=batch, drop=drop) for drop in (0.9, 0.5, 0.1))
 
 
 def _other_kinds(games: tuple[int, int, int]) -> tuple[Kind, ...]:
@@ -111,8 +115,8 @@ PRESETS: dict[str, Preset] = {
         main=_MAIN,
         others=(),
         groups=(
-            Group("compared", COMPARED, "compact", 50_000, vpn=(8_000, 6), maps=True),
-            *_rates(12_000, "paper", "hazard"),
+            Group("compared", COMPARED, "compact", 50_000, vpn=(8_000, 6), maps=True, vpn_on_true=True),
+            *_rates(16_000, "hazard", batch=32),
         ),
         examples=(1_000, 4_000),
         horizons=(100, 200),
@@ -125,10 +129,10 @@ PRESETS: dict[str, Preset] = {
         main=_MAIN,
         others=_other_kinds((300, 50, 300))[:3],
         groups=(
-            Group("compared", COMPARED, "compact", 150_000, maps=True),
+            Group("compared", COMPARED, "compact", 150_000, maps=True, vpn_on_true=True),
             Group("longer", ("vpt-tob", "hazard"), "compact", 800_000, maps=True),
-            Group("paper-network", ("vpt-tob", "whole-image"), "paper", 100_000),
-            *_rates(50_000, "paper", "hazard"),
+            Group("paper-network", ("vpt-tob", "whole-image"), "paper", 100_000, batch=64),
+            *_rates(50_000, "hazard", batch=32),
         ),
         examples=(1_000, 10_000),
         horizons=(100, 200),
@@ -141,10 +145,10 @@ PRESETS: dict[str, Preset] = {
         main=_MAIN,
         others=_other_kinds(_PAPER_GAMES),
         groups=(
-            Group("compared", (*COMPARED, "whole-image"), "paper", 5_000_000, maps=True),
+            Group("compared", (*COMPARED, "whole-image"), "paper", 5_000_000, maps=True, vpn_on_true=True),
             Group("compact", ("vpt-tob", "hazard"), "compact", 5_000_000, maps=True),
             *(Group(kind.name, ("vpt-tob", "hazard"), "paper", 5_000_000, kind=kind.name) for kind in _other_kinds(_PAPER_GAMES)),
-            *_rates(1_000_000, "paper", "vpt-tob"),
+            *_rates(1_000_000, "vpt-tob"),
         ),
         examples=(1_000, 10_000),
         horizons=(100, 200),
@@ -158,7 +162,7 @@ PRESETS: dict[str, Preset] = {
         others=(),
         groups=(
             Group("compared", ("vpt-tob", "self-perspective", "hazard"), "compact", 128, vpn=(64, 1), maps=True),
-            Group("drop-0.5", ("hazard",), "paper", 64, drop=0.5),
+            Group("drop-0.5", ("hazard",), "compact", 64, drop=0.5),
         ),
         examples=(40,),
         horizons=(20, 40),

@@ -5,10 +5,10 @@ In arguments and products `@` stands for the reproduction's folder, so that a st
 
 from __future__ import annotations
 
-import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
+from learning.provenance import hardware
 from learning.reproduce.presets import VIEW_MODELS, Group, Kind, Model, Preset
 
 EXPERIMENTS = Path("docs/experiments")
@@ -51,20 +51,16 @@ class Machine:
     Attributes:
         cores: CPU cores.
         gpu: there is one, so trainings take turns on it.
-        compiler: a C++ compiler is there, which `--compile` needs on a CPU.
     """
 
     cores: int
     gpu: bool
-    compiler: bool
 
     @classmethod
     def here(cls) -> Machine:
-        import os
-
         import torch
 
-        return cls(os.cpu_count() or 1, torch.cuda.is_available(), bool(shutil.which("c++") or shutil.which("g++")))
+        return cls(hardware()["cores"], torch.cuda.is_available())
 
     @property
     def training(self) -> tuple[str, ...]:
@@ -74,13 +70,10 @@ class Machine:
 
 SPEED: dict[str, float] = {"paper": 110.0, "whole-image": 100.0, "compact": 145.0}
 """Samples a second that a view network learns from, on one core, not compiled."""
-COMPILED_GAIN = 1.3
-COMPILED_FROM = 40_000
-"""Samples from which compiling, a minute, pays."""
 
 
-def stages_of(preset: Preset, machine: Machine) -> list[Stage]:
-    """Return every stage; each comes after those it needs."""
+def stages_of(name: str, preset: Preset, machine: Machine) -> list[Stage]:
+    """Return every stage of a preset, called `name`; each comes after those it needs."""
     stages = [_gather(kind, preset.seed) for kind in (preset.main, *preset.others)]
     for group in preset.groups:
         stages += _trainings(group, preset, machine)
@@ -97,7 +90,8 @@ def stages_of(preset: Preset, machine: Machine) -> list[Stage]:
     )
     everything = tuple(stage.name for stage in stages)
     experiments = tuple(sorted(EXPERIMENTS.glob("*.json")))
-    stages.append(Stage("page", ("reproduce", "page", "--of", "@"), ("@/results.md",), everything, reads=experiments, expected=2))
+    page = ("reproduce", "page", "--of", "@", "--preset", name)
+    stages.append(Stage("page", page, ("@/results.md",), everything, reads=experiments, expected=2))
     return stages
 
 
@@ -124,24 +118,27 @@ def _trainings(group: Group, preset: Preset, machine: Machine) -> list[Stage]:
         name, path = f"train {group.name}/{model}", f"{weights}/{model}.safetensors"
         products = (path, f"{weights}/{model}.json", f"{weights}/{model}.md")
         workspace = f"@/runs/{group.name}/{model}"
-        drop = () if group.drop is None else ("--schedule", "steps", "--drop", f"{group.drop:g}")
-        common = ("--data", data, "--samples", str(group.samples), *drop, "--to", path, "--workspace", workspace)
-        compile_it = machine.gpu or (machine.compiler and group.samples >= COMPILED_FROM)
-        speed = SPEED[group.networks] * (1 if model in VIEW_MODELS else 2) * (COMPILED_GAIN if compile_it else 1)
+        drop = () if group.drop is None else ("--drop", f"{group.drop:g}")
+        batch = () if group.batch is None else ("--batch", str(group.batch))
+        size = ("--samples", str(group.samples), *batch, *drop)
+        common = ("--data", data, *size, "--to", path, "--workspace", workspace)
+        speed = SPEED[group.networks] * (1 if model in VIEW_MODELS else 2)
         stages.append(
             Stage(
                 name,
                 (*_network_of(model, group), *common),
                 products,
                 (f"gather {kind}",),
-                aside=(*machine.training, *(("--compile",) if compile_it else ())),
+                aside=machine.training,
                 scratch=(workspace,),
                 alone=machine.gpu,
-                expected=20 + group.samples / speed + (60 if compile_it else 0),
+                expected=20 + group.samples / speed,
             )
         )
         if model in VIEW_MODELS:
             stages.append(_vpn(group, model, data, weights, name, machine))
+    if group.vpn_on_true:
+        stages.append(_vpn(group, "vpt-tob", data, weights, f"train {group.name}/vpt-tob", machine, on_true=True))
     return stages
 
 
@@ -159,12 +156,13 @@ def vpn_stem(model: Model) -> str:
     return "vpn" if model == "vpt-tob" else f"{model}-vpn"
 
 
-def _vpn(group: Group, model: Model, data: str, weights: str, views: str, machine: Machine) -> Stage:
-    stem = vpn_stem(model)
+def _vpn(group: Group, model: Model, data: str, weights: str, views: str, machine: Machine, on_true: bool = False) -> Stage:
+    stem = "vpn-on-true" if on_true else vpn_stem(model)
     size = () if group.vpn is None else ("--images", str(group.vpn[0]), "--epochs", str(group.vpn[1]))
     images, epochs = group.vpn or ((16_000, 12) if group.networks == "compact" else (2_000, 100))
     preset = "compact" if group.networks == "compact" else "paper"
-    what = ("--views", f"{weights}/{model}.safetensors", "--data", data, "--preset", preset, *size)
+    true = ("--on", "true") if on_true else ()
+    what = ("--views", f"{weights}/{model}.safetensors", "--data", data, "--preset", preset, *size, *true)
     return Stage(
         f"train {group.name}/{stem}",
         ("train", "vpn", *what, "--to", f"{weights}/{stem}.safetensors"),
@@ -183,36 +181,33 @@ def methods_of(group: Group) -> tuple[str, ...]:
 
 
 def _evaluations(preset: Preset, trained: dict[str, list[Stage]]) -> list[Stage]:
-    stages = []
-    first = preset.groups[0]
-    horizons = tuple(map(str, preset.horizons))
+    first, main = preset.groups[0], preset.main
 
-    def accuracy(name: str, group: Group, kind: str, examples: int, horizons: tuple[str, ...], oracle: int) -> Stage:
-        asked = ("--data", f"@/data/{kind}/dataset", "--weights", f"@/weights/{group.name}", "--methods", *methods_of(group))
-        size = ("--samples", str(examples), "--horizons", *horizons, "--oracle", str(oracle))
-        cost = examples * len(horizons) * (0.0007 * len(methods_of(group)) + 0.0005 * oracle)
+    def accuracy(name: str, group: Group, kind: Kind, examples: tuple[int, ...], horizons: tuple[int, ...], oracle: int) -> Stage:
+        folder = f"@/data/{kind.name}/dataset"
+        asked = ("--data", folder, "--weights", f"@/weights/{group.name}", "--methods", *methods_of(group))
+        more = ("--ablations",) if group.vpn_on_true else ()
+        size = ("--samples", *map(str, examples), "--horizons", *map(str, horizons), "--oracle", str(oracle))
+        cost = 2 * max(examples) * len(horizons) * 0.0007 * len(methods_of(group)) + 0.0008 * oracle * min(1000, max(examples))
         return Stage(
             f"evaluate {name}",
-            ("evaluate", *asked, *size, "--to", f"@/results/{name}"),
+            ("evaluate", *asked, *size, *more, "--to", f"@/results/{name}"),
             (f"@/results/{name}.json", f"@/results/{name}.md"),
-            (f"gather {kind}", *(stage.name for stage in trained[group.name])),
-            expected=15 + cost,
+            (f"gather {kind.name}", *(stage.name for stage in trained[group.name])),
+            expected=20 + cost,
         )
 
-    main = preset.main.name
-    stages.append(accuracy("accuracy", first, main, preset.examples[-1], horizons, preset.oracle))
-    for examples in preset.examples[:-1]:
-        stages.append(accuracy(f"accuracy-{examples}", first, main, examples, horizons, preset.oracle))
-    for kind in preset.others:
-        stages.append(accuracy(f"accuracy-{kind.name}", first, kind.name, preset.examples[0], (str(kind.steps),), preset.oracle))
+    kinds = {kind.name: kind for kind in (main, *preset.others)}
+    stages = [accuracy("accuracy", first, main, preset.examples, preset.horizons, preset.oracle)]
+    stages += [
+        accuracy(f"accuracy-{kind.name}", first, kind, preset.examples[:1], (kind.steps,), preset.oracle)
+        for kind in preset.others
+    ]
     for group in preset.groups[1:]:
-        longest = next((str(kind.steps) for kind in preset.others if kind.name == group.kind), str(preset.main.steps))
-        own_horizons = (longest,) if group.kind else horizons
-        stages.append(accuracy(f"accuracy-of-{group.name}", group, group.kind or main, preset.examples[-1], own_horizons, 0))
-    for group in preset.groups:
-        if group.maps:
-            stages.append(_maps(group, preset, trained[group.name]))
-    return stages
+        kind = kinds[group.kind or main.name]
+        horizons = preset.horizons if kind is main else (kind.steps,)
+        stages.append(accuracy(f"accuracy-of-{group.name}", group, kind, preset.examples, horizons, 0))
+    return stages + [_maps(group, preset, trained[group.name]) for group in preset.groups if group.maps]
 
 
 def _maps(group: Group, preset: Preset, trained: list[Stage]) -> Stage:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
@@ -23,6 +24,7 @@ class Stamp:
         key: hash of the arguments and of everything that went in.
         command: as it was typed.
         products: hash of each, by its name in the stage.
+        began: seconds since the Unix epoch.
         seconds: that it ran.
         provenance: commit and hardware.
         taken_from: the folder of an earlier reproduction, where it was made there.
@@ -31,6 +33,7 @@ class Stamp:
     key: str
     command: str
     products: dict[str, str]
+    began: float = 0.0
     seconds: float = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
     taken_from: str = ""
@@ -88,7 +91,7 @@ class Stamps:
 
     def finish(self, stage: Stage, key: str, command: str, seconds: float, provenance: dict[str, Any]) -> None:
         """Stamp a stage whose products are there."""
-        self._write(stage, Stamp(key, command, self._products(stage), seconds, provenance))
+        self._write(stage, Stamp(key, command, self._products(stage), time.time() - seconds, seconds, provenance))
 
     def _write(self, stage: Stage, stamp: Stamp) -> None:
         file = self._file(stage, "json")
@@ -133,10 +136,17 @@ def _link(source: Path, target: Path) -> None:
     shutil.copy2(source, target)
 
 
+ASIDE = ("command", "commit", "when")
+"""What a data set's manifest says that is not about what the set holds."""
+
+
 def _hash(path: Path) -> str:
-    """Return the SHA-256 of a file, empty where there is none."""
+    """Return the SHA-256 of a file, empty where there is none; of a data set's manifest, of what it says of the data."""
     try:
+        if path.name == "manifest.json":
+            content = {key: value for key, value in json.loads(path.read_text()).items() if key not in ASIDE}
+            return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
         with path.open("rb") as file:
             return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError:
+    except (OSError, ValueError):
         return ""
