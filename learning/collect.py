@@ -12,9 +12,11 @@ import multiprocessing
 import os
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.queues import Queue
 from pathlib import Path
+from queue import Empty
 from typing import Any
 
 import msgspec
@@ -128,38 +130,22 @@ def main(settings: CollectSettings) -> int:
     if len(waiting) < len(blocks):
         print(f"{len(blocks) - len(waiting)} of {len(blocks)} logs are there already and are kept")
     console = Console()
-    context = multiprocessing.get_context("spawn")
-    done: Queue[tuple[int, int]] = context.Queue()
     workers = min(settings.workers or multiprocessing.cpu_count(), max(len(waiting), 1))
-    processes = [
-        context.Process(target=_work, args=(settings, waiting[index::workers], trajectories, done), daemon=True)
-        for index in range(workers)
-    ]
+    total = sum(map(len, waiting))
     started = time.monotonic()
-    for process in processes:
-        process.start()
     columns = (TextColumn("collecting"), BarColumn(), MofNCompleteColumn(), TextColumn("games  {task.fields[rate]}"))
     steps = games = 0
     with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
-        task = progress.add_task("collect", total=sum(map(len, waiting)), rate="")
-        while games < sum(map(len, waiting)):
-            try:
-                played, stepped = done.get(timeout=1.0)
-            except Exception:  # the queue is empty
-                if not any(process.is_alive() for process in processes):
-                    break
-                continue
+        task = progress.add_task("collect", total=total, rate="")
+        for played, stepped in _play_blocks(settings, waiting, trajectories, workers):
             games += played
             steps += stepped
             progress.update(task, completed=games, rate=f"{steps / (time.monotonic() - started):,.0f} steps/s")
-    for process in processes:
-        process.join()
-    failed = [process.exitcode for process in processes if process.exitcode]
     elapsed = time.monotonic() - started
     rate = f"{steps / elapsed:,.0f} steps/s with {workers} workers"
     print(f"{games} games, {steps} steps in {elapsed:.1f} s: {rate}, in {settings.to}/")
-    if failed or games < sum(map(len, waiting)):
-        print(f"{len(failed)} workers failed (see above); run the command again to go on", file=sys.stderr)
+    if games < total:
+        print("workers failed (see above); run the command again to go on", file=sys.stderr)
         return 1
     return 0
 
@@ -266,6 +252,36 @@ def _remove_partial_logs(folder: Path) -> None:
         writer = path.suffixes[-2][1:] if len(path.suffixes) > 1 else ""
         if not (writer.isdecimal() and psutil.pid_exists(int(writer))):
             path.unlink(missing_ok=True)
+
+
+def _play_blocks(
+    settings: CollectSettings, blocks: list[range], trajectories: TrajectoriesBySplit, workers: int
+) -> Iterator[tuple[int, int]]:
+    """Play blocks into their logs; yields games and steps of each as it is done, of fewer blocks where a worker failed."""
+    if workers == 1:
+        for block in blocks:
+            yield len(block), play_block(settings, block, log_path(settings, block), trajectories)
+        return
+    context = multiprocessing.get_context("spawn")
+    done: Queue[tuple[int, int]] = context.Queue()
+    processes = [
+        context.Process(target=_work, args=(settings, blocks[index::workers], trajectories, done), daemon=True)
+        for index in range(workers)
+    ]
+    for process in processes:
+        process.start()
+    left = len(blocks)
+    while left:
+        alive = any(process.is_alive() for process in processes)
+        try:
+            yield done.get(timeout=1.0)
+        except Empty:
+            if not alive:
+                break
+        else:
+            left -= 1
+    for process in processes:
+        process.join()
 
 
 def _work(
