@@ -98,7 +98,7 @@ def main(settings: EvaluateSettings) -> int:
     papers = {name: row.paper for name, row in METHODS.items()}
     out = Console() if sys.stdout.isatty() else Console(width=100)
     for result in report["results"]:
-        out.print(table_of(result, papers))
+        out.print(table_of(result, papers), "")
     for line in warnings:
         print(f"warning: {line}", file=sys.stderr)
     if settings.to:

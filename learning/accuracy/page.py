@@ -24,7 +24,7 @@ def title_of(result: dict[str, Any]) -> str:
 
 def table_of(result: dict[str, Any], papers: dict[str, float | None]) -> Table:
     """Return a set's results for the terminal, %, 80 columns wide."""
-    table = Table(title=title_of(result), title_justify="left", box=SIMPLE, padding=0, pad_edge=False)
+    table = Table(title=title_of(result), title_justify="left", box=SIMPLE, padding=0, pad_edge=False, show_edge=False)
     heads = _HEADS if result["horizon limit"] == PAPER_LIMIT else _HEADS[:-1]
     for number, head in enumerate(heads):
         table.add_column(head, justify="left" if number == 0 else "right", no_wrap=True)
