@@ -15,12 +15,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from learning.board import Board
 from learning.caught_batch import Batch, render
+from learning.compiling import Compile, to_compile
 from learning.dataset import Dataset, prefetch
 from learning.group import Group, join_group
 from learning.measures import accuracy, area_under_roc, balanced_accuracy
 from learning.methods.survival import caught_logits
-from learning.recipe import Schedule
+from learning.recipe import Pace, Schedule, rate_factor
+from learning.tensors import in_unit_range, on_device
 from vantage.log import source_commit
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
 from vantage.networks.encoder import PAPER, Channels
@@ -31,7 +34,7 @@ Model = Literal["hazard", "coordinate-path", "coordinate-end"]
 
 
 @dataclass(frozen=True)
-class Recipe:
+class Recipe(Pace):
     """How to train. The defaults are those of VPT-TOB's preset `paper`, with its encoder.
 
     Attributes:
@@ -39,7 +42,6 @@ class Recipe:
         whole_image: a bottleneck that sees the whole image.
         dropout: before the last layer.
         samples: how many the network sees.
-        schedule: `steps` multiplies the learning rate by `drop` at 25 % and 65 % of the progress; `cosine` ends at zero.
         weight_decay: of AdamW.
         from_start: share of samples with t0 = 0.
         symmetries: of the square, by which samples are turned and flipped: 8, 4 or 1.
@@ -49,10 +51,6 @@ class Recipe:
     whole_image: bool = True
     dropout: float = 0.2
     samples: int = 5_000_000
-    batch: int = 256
-    rate: float = 1e-3
-    schedule: Schedule = "steps"
-    drop: float = 0.9
     weight_decay: float = 0.0
     from_start: float = 0.5
     symmetries: int = 8
@@ -77,7 +75,7 @@ class TrainCaughtSettings:
     data: Path = Path("dataset")
     """The training set."""
     to: Path | None = None
-    """Where the weights go, MODEL.safetensors in weights/ if not said; the model card lies beside them."""
+    """Where the weights go, runs/MODEL.safetensors if not said; the model card lies beside them."""
     preset: Literal["paper", "compact"] = "paper"
     """`paper`: VPT-TOB's encoder and recipe. `compact`: smaller, for minutes on a CPU core."""
     minutes: float | None = None
@@ -88,10 +86,12 @@ class TrainCaughtSettings:
     """Batch size, instead of the preset's."""
     rate: float | None = None
     """Learning rate, instead of the preset's."""
+    schedule: Schedule | None = None
+    """`steps` multiplies the learning rate by --drop at 25 % and 65 %, `cosine` ends at zero; instead of the preset's."""
     drop: float | None = None
-    """Factor of the learning rate at 25 % and 65 %, instead of the preset's (schedule `steps` only)."""
+    """Factor of the learning rate: 0.9, 0.5 and 0.1 are the readings of the paper."""
     workspace: Path | None = None
-    """Folder of the checkpoint; runs/MODEL if not said."""
+    """Folder of the checkpoint and of the curves for TensorBoard; runs/MODEL if not said."""
     resume: bool = True
     """Go on from the checkpoint, if the workspace holds one."""
     report_every: int = 16_384
@@ -100,8 +100,10 @@ class TrainCaughtSettings:
     """Minutes between checkpoints."""
     threads: int = 0
     """CPU threads; 0 = all cores."""
-    compile: bool = False
-    """Compile the network (faster; takes a minute, and a C++ compiler on a CPU)."""
+    validation: int = 2048
+    """Samples of validation games to choose the best weights by."""
+    compile: Compile = "auto"
+    """Compile the network (a third faster); `auto`: where a compiler is there and the training is long enough."""
     seed: int = 1
 
 
@@ -109,13 +111,6 @@ def resolve(settings: TrainCaughtSettings) -> Recipe:
     """Return the preset with what the command line changes."""
     names = ("samples", "batch", "rate", "drop")
     return replace(PRESETS[settings.preset], **{name: value for name in names if (value := getattr(settings, name)) is not None})
-
-
-def rate_factor(recipe: Recipe, progress: float) -> float:
-    """Return the factor of the learning rate at this progress, 0..1."""
-    if recipe.schedule == "cosine":
-        return max(0.5 * (1.0 + math.cos(math.pi * min(progress, 1.0))), 1e-3)
-    return recipe.drop ** sum(progress >= moment for moment in (0.25, 0.65))
 
 
 def make_network(model: Model, recipe: Recipe) -> Hazard | CoordinateValue:
@@ -140,7 +135,7 @@ class Trainer:
 
     def logits(self, images: Tensor, vectors: Tensor) -> Tensor:
         """uint8 [B, 128, 128, C], float [B, 121 or 0] -> logits [B, K], or [B, 1] at the horizon."""
-        pixels = images.permute(0, 3, 1, 2).to(self.precision) * (1 / 255)
+        pixels = in_unit_range(images, self.precision)
         with torch.autocast(self.device.type, self.precision, enabled=self.precision != torch.float32):
             if isinstance(self.network, Hazard):
                 return self.network(pixels).float()
@@ -149,7 +144,7 @@ class Trainer:
     def tensors(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return images, vectors, caught and known on the device."""
         arrays = (batch.images, batch.vectors, batch.caught, batch.known)
-        images, vectors, caught, known = (torch.from_numpy(array).to(self.device, non_blocking=True) for array in arrays)
+        images, vectors, caught, known = (on_device(array, self.device) for array in arrays)
         return images, vectors, caught, known
 
     def learn(self, batch: Batch, factor: float) -> Tensor:
@@ -172,8 +167,10 @@ class Trainer:
         for batch in batches:
             images, vectors, _, _ = self.tensors(batch)
             logits = self.logits(images, vectors).cpu().numpy()
-            hazard = isinstance(self.network, Hazard)
-            scores.append(caught_logits(logits, batch.samples.horizon) if hazard else logits[:, 0])
+            if isinstance(self.network, Hazard):
+                scores.append(caught_logits(logits, batch.samples.horizon, self.network.settings.spacing))
+            else:
+                scores.append(logits[:, 0])
             truth.append(batch.samples.caught)
         self.network.train()
         score, caught = np.concatenate(scores), np.concatenate(truth)
@@ -196,15 +193,17 @@ def main(settings: TrainCaughtSettings) -> int:
     """Train; returns the exit code."""
     group = join_group()
     torch.set_num_threads(settings.threads or max(1, (os.cpu_count() or 1) // group.size))
-    recipe, data = resolve(settings), Dataset(settings.data)
-    to = settings.to or Path("weights", f"{settings.model}.safetensors")
-    trainer = Trainer(settings.model, recipe, group, settings.compile, settings.seed)
     say = partial(print, flush=True) if group.rank == 0 else lambda *_: None
+    recipe, data = resolve(settings), Dataset(settings.data)
+    to = settings.to or Path("runs", f"{settings.model}.safetensors")
+    workspace = settings.workspace or Path("runs", settings.model)
+    compiled, why = to_compile(settings.compile, group.device, recipe.samples, settings.minutes)
+    trainer = Trainer(settings.model, recipe, group, compiled, settings.seed)
     size = sum(parameter.numel() for parameter in trainer.parameters)
-    say(f"{settings.model} `{settings.preset}`, {size:,} parameters, {group.size} x {group.device}, {trainer.precision}")
+    say(f"{settings.model} `{settings.preset}`, {size:,} parameters, {group.size} x {group.device}, {trainer.precision}; {why}")
     say(f"{settings.data}: episodes {data.manifest['episodes']}, by hider {data.manifest['hiders']}")
 
-    checkpoint = (settings.workspace or Path("runs", settings.model)) / "checkpoint.pt"
+    checkpoint = workspace / "checkpoint.pt"
     identity = {"model": settings.model, "recipe": asdict(replace(recipe, samples=0)), "data": data.hash}
     seen, trained, best, best_measures = 0, 0.0, math.inf, dict[str, float]()  # samples, seconds
     if settings.resume and checkpoint.exists():
@@ -215,8 +214,9 @@ def main(settings: TrainCaughtSettings) -> int:
         trainer.restore(saved["trainer"])
         seen, trained, best, best_measures = saved["seen"], saved["trained"], saved["best"], saved["best_measures"]
         say(f"going on after {seen:,} samples, {trained / 60:.1f} minutes")
+    board = Board(workspace, seen) if group.rank == 0 else None
 
-    held = data.draw("validation", 2048, np.random.default_rng(0), recipe.from_start, symmetries=1)
+    held = data.draw("validation", settings.validation, np.random.default_rng(0), recipe.from_start, symmetries=1)
 
     def batches() -> Iterator[Batch]:
         number = seen // recipe.batch + group.rank
@@ -234,7 +234,7 @@ def main(settings: TrainCaughtSettings) -> int:
         return group.from_first(trained / (60 * settings.minutes) if settings.minutes else seen / recipe.samples)
 
     def write_checkpoint() -> None:
-        checkpoint.parent.mkdir(parents=True, exist_ok=True)
+        workspace.mkdir(parents=True, exist_ok=True)
         state = {"identity": identity, "trainer": trainer.state(), "seen": seen, "trained": trained}
         partial_path = checkpoint.with_suffix(".partial")
         torch.save({**state, "best": best, "best_measures": best_measures}, partial_path)
@@ -270,12 +270,20 @@ def main(settings: TrainCaughtSettings) -> int:
                 f"{100 * done:5.1f} %  {seen:>9,} samples  {speed:4.0f}/s  {max(left, 0):4.0f} min left"
                 f"  loss {loss.item() / steps:.4f}  validation: {parts}{'  * saved' if better else ''}"
             )
+            if board:
+                curves = {f"validation/{name}": value for name, value in measures.items()}
+                rate = recipe.rate * rate_factor(recipe, done)
+                board.curves(
+                    {**curves, "training/loss": loss.item() / steps, "training/rate": rate, "samples a second": speed}, seen
+                )
             loss.zero_()
             steps, reported, reported_at, clock = 0, seen, trained, time.monotonic()
         if group.rank == 0 and (trained - written_at >= 60 * settings.checkpoint_minutes or done >= 1.0):
             write_checkpoint()
             written_at, clock = trained, time.monotonic()
     say(f"best validation: {best_measures}; weights in {to}")
+    if board:
+        board.close()
     group.leave()
     return 0
 

@@ -95,8 +95,8 @@ def test_a_view_is_turned_with_its_plan(dataset: Dataset, model: Model) -> None:
 @pytest.mark.parametrize("model", ["hazard", "coordinate-path"])
 def test_it_learns_one_batch_by_heart(dataset: Dataset, model: Model) -> None:
     trainer = Trainer(model, replace(SMALL, dropout=0.0), ALONE, compiled=False, seed=0)
-    batch = render(trainer.network, dataset, dataset.draw("train", 16, np.random.default_rng(0)))
-    losses = [float(trainer.learn(batch, 3.0)) for _ in range(40)]
+    batch = render(trainer.network, dataset, dataset.draw("train", 8, np.random.default_rng(0)))
+    losses = [float(trainer.learn(batch, 3.0)) for _ in range(25)]
     assert losses[-1] < 0.5 * losses[0]
 
 
@@ -125,6 +125,7 @@ def test_from_training_to_weights(
         samples=32,
         workspace=tmp_path / "run",
         report_every=16,
+        validation=64,
         threads=1,
     )
     assert train_caught.main(settings) == 0
@@ -139,6 +140,7 @@ def test_from_training_to_weights(
     assert train_caught.main(replace(settings, samples=48)) == 0
     assert "going on after 32 samples" in capsys.readouterr().out
     assert read_card(settings.to).training["samples"] <= 48
+    assert list((tmp_path / "run").glob("events.*"))
     assert train_caught.main(replace(settings, rate=2e-3)) == 1
     assert "another recipe" in capsys.readouterr().out
 
