@@ -97,7 +97,7 @@ def _played(found: dict[str, Any], report: dict[str, Any]) -> list[str]:
     head = [
         "goal chosen by",
         "steps survived",
-        f"more than {report['against']}",
+        f"more than by {report['against']}, expected",
         "V (lower is safer)",
         "caught by 100",
         "by 200",

@@ -70,7 +70,7 @@ def references(cases: Sequence[Case], horizons: Sequence[int], truth: str) -> Ma
 
 
 def reference_of(name: str, against: str) -> str:
-    """Return the predictor that another is compared with: the method `against`, added up in the same way."""
+    """Return the predictor whose order of goals another's is compared with: the method `against`, added up in the same way."""
     return f"{against}, binary" if name.endswith(", binary") else f"{against}, expected"
 
 
@@ -128,7 +128,9 @@ def _measure(
 
 
 def played(cases: Sequence[Case], horizons: Sequence[int], maps: Maps, against: str, seed: int) -> dict[str, Any]:
-    """Return horizon -> who chose the goal -> outcome -> summary over starts, with the paired difference to `against`."""
+    """Return horizon -> who chose the goal -> outcome -> summary over starts, with the difference to the goal that `against`
+    chooses by its probabilities, paired by start.
+    """
     choosers = {**maps, ANOTHER: simulated_maps(cases, horizons, slice(0, 1))}
     found: dict[str, Any] = {}
     for h, horizon in enumerate(horizons):
@@ -138,7 +140,7 @@ def played(cases: Sequence[Case], horizons: Sequence[int], maps: Maps, against: 
             name: {
                 outcome: {
                     **summary(outcomes[:, column], seed),
-                    **_difference(outcomes[:, column], fared.get(reference_of(name, against)), column, seed),
+                    **_difference(outcomes[:, column], fared.get(f"{against}, expected"), column, seed),
                 }
                 for column, outcome in enumerate(OUTCOMES)
             }
