@@ -14,7 +14,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from learning.accuracy.examples import STARTS, Start, blind_logits, draw_examples, frequency_logits
-from learning.accuracy.page import page_of, table_of
+from learning.accuracy.page import fewer, page_of, table_of
 from learning.accuracy.report import CLOCK, MAJORITY, ORACLE, judged, without_nan
 from learning.dataset import Dataset, Samples
 from learning.methods.machine import Machine
@@ -98,7 +98,7 @@ def main(settings: EvaluateSettings) -> int:
     papers = {name: row.paper for name, row in METHODS.items()}
     out = Console() if sys.stdout.isatty() else Console(width=100)
     for result in report["results"]:
-        out.print(table_of(result, papers), "")
+        out.print(table_of(result, papers), *fewer(result), "", sep="\n")
     for line in warnings:
         print(f"warning: {line}", file=sys.stderr)
     if settings.to:

@@ -67,11 +67,17 @@ def page_of(report: dict[str, Any]) -> str:
         "",
     ]
     for result in report["results"]:
-        lines += [f"## {title_of(result)}", "", *_main_table(result, papers), ""]
+        lines += [f"## {title_of(result)}", "", *_main_table(result, papers), "", *fewer(result)]
         lines += [f"### By horizon, {title_of(result)}", "", *_parts_table(result, "by horizon"), ""]
         lines += [f"### By hider, {title_of(result)}", "", *_parts_table(result, "by hider"), ""]
     lines += ["## Weights", "", *_markdown(_WEIGHT_HEADS, _weight_rows(methods))]
     return "\n".join(lines) + "\n"
+
+
+def fewer(result: dict[str, Any]) -> list[str]:
+    """Return a line on each method that judged only the first of the examples."""
+    counts = {name: found["examples"] for name, found in result["methods"].items()}
+    return [f"{name}: the first {count:,} examples only\n" for name, count in counts.items() if count < result["examples"]]
 
 
 def _main_table(result: dict[str, Any], papers: dict[str, float | None]) -> list[str]:

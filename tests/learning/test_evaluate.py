@@ -125,6 +125,7 @@ def test_the_whole_command(dataset: Dataset, tmp_path: Path, capsys: pytest.Capt
     assert report["methods"]["vector-action"]["paper"] == 0.8298
     page = to.with_name("accuracy-0.9.md").read_text()
     assert all(f"| {name} |" in page for name in names)
+    assert page.count("oracle: the first 15 examples only") == shown.out.count("oracle: the first 15 examples only") == 4
 
     assert evaluate.main(EvaluateSettings(data=dataset.folder, weights=tmp_path, to=None)) == 2
     for wrong in ({"methods": ("vpt",)}, {"samples": ()}, {"horizons": (0,)}, {"oracle": -1}):
