@@ -8,16 +8,22 @@ SHELL := /bin/bash
 PYTHONS := python3 python3.12 python3.11 python3.13
 KERNELS := $(wildcard schemas/*.py vantage/*.py vantage/world/*.py vantage/perception/*.py vantage/networks/*.py services/seeker/*.py services/planner/*.py learning/hiders/*.py learning/roll_outs/*.py)
 
-.PHONY: help demo test setup clean
+.PHONY: help demo reproduce test setup clean
 
 help:
 	@echo "make demo    set up, then let two robots play one game of hide-and-seek and draw it"
 	@echo "make test    set up, then run the whole test suite"
+	@echo "make reproduce PRESET=quick|hours|paper    set up, then redo the paper's study; its page is reproduction/PRESET/results.md"
 	@echo "make setup   only set up (.venv with everything, developers' tools included)"
 	@echo "make clean   remove .venv, logs and the demo's results"
 
 demo: .venv/demo.installed .venv/kernels.compiled
 	@.venv/bin/vantage demo
+
+# PRESET=quick (half an hour on two cores), hours or paper; run again, it goes on where it stopped.
+PRESET ?= quick
+reproduce: .venv/demo.installed .venv/kernels.compiled
+	@.venv/bin/vantage reproduce --preset $(PRESET) $(OPTIONS)
 
 # Tests that start whole deployments measure time, so they run alone, after the others.
 test: .venv/test.installed .venv/kernels.compiled

@@ -37,14 +37,14 @@ class ReproduceSettings:
     """
 
     preset: Literal["quick", "hours", "paper", "smoke"] = "quick"
-    """`quick`: half an hour on two CPU cores. `hours`: one and a half hours on two cores. `paper`: the paper's scale, for a GPU.
+    """`quick`: half an hour on two CPU cores. `hours`: two hours on two cores. `paper`: the paper's scale, for a GPU.
     `smoke`: a minute; shows that everything runs, and its figures mean nothing."""
     to: Path | None = None
     """Folder for everything; default reproduction/PRESET."""
     have: tuple[Path, ...] = ()
     """Folders of earlier reproductions: what the very same commands made there from the same data is taken over."""
     publish: bool = False
-    """Also copy page, figures and results into docs/, and the main networks into weights/."""
+    """Also copy page, figures and results into docs/."""
     jobs: int = 0
     """Trainings at a time; 0 = one for each core, or one on a GPU."""
     list: bool = False
@@ -84,12 +84,12 @@ def main(settings: ReproduceSettings) -> int:
     elapsed = minutes(time.monotonic() - runner.progress.began)
     display.console.print(f"{kept}{states['done'] + states['taken']} made now, in {elapsed}. The page: {folder / 'results.md'}")
     if settings.publish:
-        publish(folder, preset.groups[0].name, Path())
+        publish(folder, Path())
         display.console.print("published: docs/results.md, docs/figures/, docs/results/")
     return 0
 
 
-def publish(folder: Path, group: str, root: Path) -> None:
+def publish(folder: Path, root: Path) -> None:
     """Copy page, figures and results of a reproduction into docs/ of a checkout."""
     docs = root / "docs"
     for part, endings in (("figures", ("*.png", "*.json")), ("results", ("*.json", "*.md"))):

@@ -93,8 +93,8 @@ def _opening(found: Findings, preset: str) -> list[str]:
         "",
         f"Written by `vantage reproduce --preset {preset}`, from the JSON in `results/`; no figure on this page was typed by "
         "hand. The paper: Chen, Hu, Kwiatkowski, Song, Lipson, *Visual Perspective Taking for Opponent Behavior Modeling*. Its "
-        "code, data and simulator were never published, so its figures are of another simulation than ours: beside each other they "
-        "say which order of methods holds and how far, not who is better.",
+        "code, data and simulator were never published, so its figures are of another simulation than ours: beside each other "
+        "they say which order of methods holds and how far, not who is better.",
         "",
         f"Hardware: {'; '.join(machines)}. Commit: {', '.join(f'`{commit}`' for commit in commits)} (`+`: edited). "
         f"Time: {wall(found) / 60:.0f} minutes on the clock, {total / 60:.0f} minutes of stages, several at once.",
@@ -221,8 +221,8 @@ def _table_two(found: Findings) -> list[str]:
         "",
         f"{len(maps['starts'])} starts of test seeds, seeker `{maps['seeker']}`, layout `{maps['layout']}`. The truth: the hider "
         "is moved to every goal in simulation, with the seeds of the episode. Share of pairs of goals at least 3 cells apart "
-        "whose order, equality included, agrees; mean ± standard deviation over maps. `binary` adds v as the paper does, `expected` "
-        "adds probabilities; networks were trained on at most 200 steps.",
+        "whose order, equality included, agrees; mean ± standard deviation over maps. `binary` adds v as the paper does, "
+        "`expected` adds probabilities; networks were trained on at most 200 steps.",
         "",
         *_figure(found, "table-2.png"),
         *tables.table_two(maps, "with_ties", with_paper=True),

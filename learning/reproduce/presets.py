@@ -115,7 +115,7 @@ PRESETS: dict[str, Preset] = {
         main=_MAIN,
         others=(),
         groups=(
-            Group("compared", COMPARED, "compact", 50_000, vpn=(8_000, 6), maps=True, vpn_on_true=True),
+            Group("compared", COMPARED, "compact", 40_000, vpn=(20_000, 3), maps=True, vpn_on_true=True),
             *_rates(16_000, "hazard", batch=32),
         ),
         examples=(1_000, 4_000),
@@ -124,15 +124,15 @@ PRESETS: dict[str, Preset] = {
         starts=20,
         map_horizons=(200, 250, 300, 350),
     ),
-    # Some 90 minutes.
+    # Some two hours, of which the longer training is 70 minutes on one core (which may be taken over from elsewhere).
     "hours": Preset(
         main=_MAIN,
         others=_other_kinds((300, 50, 300))[:3],
         groups=(
-            Group("compared", COMPARED, "compact", 150_000, maps=True, vpn_on_true=True),
+            Group("compared", COMPARED, "compact", 150_000, vpn=(60_000, 3), maps=True, vpn_on_true=True),
             Group("longer", ("vpt-tob", "hazard"), "compact", 800_000, maps=True),
-            Group("paper-network", ("vpt-tob", "whole-image"), "paper", 100_000, batch=64),
-            *_rates(50_000, "hazard", batch=32),
+            Group("paper-network", ("vpt-tob", "whole-image"), "paper", 50_000, batch=32),
+            *_rates(30_000, "hazard", batch=32),
         ),
         examples=(1_000, 10_000),
         horizons=(100, 200),

@@ -10,12 +10,30 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Protocol
 
 from learning.reproduce.stages import Stage
 from learning.reproduce.stamps import Stamps, file_name
 
 POLL = 0.2  # s between looks at the processes
+
+
+class Process(Protocol):
+    """What the runner asks of a process: that of `subprocess.Popen`."""
+
+    def poll(self) -> int | None: ...
+    def terminate(self) -> None: ...
+    def kill(self) -> None: ...
+    def wait(self, timeout: float | None = None) -> int: ...
+
+
+Launch = Callable[[tuple[str, ...], IO[bytes], dict[str, str]], Process]
+
+
+def start_process(arguments: tuple[str, ...], output: IO[bytes], environment: dict[str, str]) -> Process:
+    """Start a `vantage` command as a process of the same interpreter."""
+    command = [sys.executable, "-m", "vantage.cli", *arguments]
+    return subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, env=environment)
 
 
 @dataclass
@@ -24,7 +42,7 @@ class Running:
 
     stage: Stage
     key: str
-    process: subprocess.Popen[bytes]
+    process: Process
     output: IO[bytes]
     log: Path
     began: float  # s, monotonic
@@ -76,6 +94,7 @@ class Runner:
         slots: stages that run at a time, where they are not `alone`.
         have: folders of earlier reproductions, from which products of the very same commands are taken over.
         show: called often, and whenever a stage begins or ends (then with a line about it).
+        launch: starts a stage's command: the words after `vantage`, its log, its environment -> its process.
     """
 
     def __init__(
@@ -85,9 +104,10 @@ class Runner:
         slots: int,
         have: tuple[Path, ...],
         show: Callable[[Progress, str], None],
+        launch: Launch | None = None,
     ) -> None:
         self.stages = {stage.name: stage for stage in stages}
-        self.folder, self.have, self.show = folder, have, show
+        self.folder, self.have, self.show, self._launch = folder, have, show, launch or start_process
         self.stamps = Stamps(folder)
         self.progress = Progress(stages, slots, {stage.name: "waiting" for stage in stages})
         self._weight = _critical_paths(stages)
@@ -151,8 +171,7 @@ class Runner:
         environment = {**os.environ, "PYTHONUNBUFFERED": "1", "COLUMNS": "130", "VANTAGE_STAGE": stage.name}
         if not stage.alone:
             environment |= {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-        command = [sys.executable, "-m", "vantage.cli", *arguments]
-        process = subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, env=environment)
+        process = self._launch(arguments, output, environment)
         self.progress.running.append(Running(stage, key, process, output, log, time.monotonic()))
         self.progress.state[stage.name] = "running"
         self.show(self.progress, f"{stage.name}: begins")

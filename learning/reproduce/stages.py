@@ -69,7 +69,7 @@ class Machine:
 
 
 SPEED: dict[str, float] = {"paper": 110.0, "whole-image": 100.0, "compact": 145.0}
-"""Samples a second that a view network learns from, on one core, not compiled."""
+"""Samples a second that a view network learns from, on one core, not compiled (longer trainings are)."""
 
 
 def stages_of(name: str, preset: Preset, machine: Machine) -> list[Stage]:
@@ -122,7 +122,7 @@ def _trainings(group: Group, preset: Preset, machine: Machine) -> list[Stage]:
         batch = () if group.batch is None else ("--batch", str(group.batch))
         size = ("--samples", str(group.samples), *batch, *drop)
         common = ("--data", data, *size, "--to", path, "--workspace", workspace)
-        speed = SPEED[group.networks] * (1 if model in VIEW_MODELS else 2)
+        speed = SPEED[group.networks] * (1 if model in VIEW_MODELS else 2.5) * (1.3 if group.samples >= 100_000 else 1)
         stages.append(
             Stage(
                 name,
@@ -136,9 +136,9 @@ def _trainings(group: Group, preset: Preset, machine: Machine) -> list[Stage]:
             )
         )
         if model in VIEW_MODELS:
-            stages.append(_vpn(group, model, data, weights, name, machine))
+            stages.append(_vpn(group, model, kind, machine))
     if group.vpn_on_true:
-        stages.append(_vpn(group, "vpt-tob", data, weights, f"train {group.name}/vpt-tob", machine, on_true=True))
+        stages.append(_vpn(group, "vpt-tob", kind, machine, on_true=True))
     return stages
 
 
@@ -156,10 +156,12 @@ def vpn_stem(model: Model) -> str:
     return "vpn" if model == "vpt-tob" else f"{model}-vpn"
 
 
-def _vpn(group: Group, model: Model, data: str, weights: str, views: str, machine: Machine, on_true: bool = False) -> Stage:
+def _vpn(group: Group, model: Model, kind: str, machine: Machine, on_true: bool = False) -> Stage:
+    data, weights = f"@/data/{kind}/dataset", f"@/weights/{group.name}"
+    gathered, views = f"gather {kind}", f"train {group.name}/{model}"
     stem = "vpn-on-true" if on_true else vpn_stem(model)
     size = () if group.vpn is None else ("--images", str(group.vpn[0]), "--epochs", str(group.vpn[1]))
-    images, epochs = group.vpn or ((16_000, 12) if group.networks == "compact" else (2_000, 100))
+    images, epochs = group.vpn or ((200_000, 2) if group.networks == "compact" else (2_000, 100))
     preset = "compact" if group.networks == "compact" else "paper"
     true = ("--on", "true") if on_true else ()
     what = ("--views", f"{weights}/{model}.safetensors", "--data", data, "--preset", preset, *size, *true)
@@ -167,10 +169,10 @@ def _vpn(group: Group, model: Model, data: str, weights: str, views: str, machin
         f"train {group.name}/{stem}",
         ("train", "vpn", *what, "--to", f"{weights}/{stem}.safetensors"),
         (f"{weights}/{stem}.safetensors", f"{weights}/{stem}.json", f"{weights}/{stem}.md"),
-        (views,),
+        (gathered, views),
         aside=machine.training,
         alone=machine.gpu,
-        expected=15 + images * 1.2 / 400 + images * epochs / 1500,
+        expected=25 + images / 500 + images * epochs / 2500,
     )
 
 
@@ -188,7 +190,7 @@ def _evaluations(preset: Preset, trained: dict[str, list[Stage]]) -> list[Stage]
         asked = ("--data", folder, "--weights", f"@/weights/{group.name}", "--methods", *methods_of(group))
         more = ("--ablations",) if group.vpn_on_true else ()
         size = ("--samples", *map(str, examples), "--horizons", *map(str, horizons), "--oracle", str(oracle))
-        cost = 2 * max(examples) * len(horizons) * 0.0007 * len(methods_of(group)) + 0.0008 * oracle * min(1000, max(examples))
+        cost = 2 * max(examples) * len(horizons) * 0.0005 * len(methods_of(group)) + 0.0008 * oracle * min(1000, max(examples))
         return Stage(
             f"evaluate {name}",
             ("evaluate", *asked, *size, *more, "--to", f"@/results/{name}"),

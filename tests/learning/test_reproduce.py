@@ -1,0 +1,348 @@
+"""The reproduction: what is run again and what is not, that every planned command exists, and the whole of it, very small."""
+
+import contextlib
+import io
+import json
+import shlex
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import IO, Any
+
+import numpy as np
+import pytest
+import torch
+import tyro
+
+from learning import recipe, train_caught
+from learning.reproduce import tables
+from learning.reproduce.command import lines_of, publish
+from learning.reproduce.page import Target, target_table, wall
+from learning.reproduce.presets import PRESETS, Preset
+from learning.reproduce.runner import Progress, Runner
+from learning.reproduce.stages import Machine, Stage, stages_of
+from learning.reproduce.stamps import Stamps
+from vantage import cli
+from vantage.networks.vpt_tob import VptTobSettings
+
+
+class Done:
+    """A process that has ended."""
+
+    def __init__(self, code: int) -> None:
+        self.code = code
+
+    def poll(self) -> int:
+        return self.code
+
+    def terminate(self) -> None: ...
+    def kill(self) -> None: ...
+    def wait(self, timeout: float | None = None) -> int:
+        return self.code
+
+
+class Workshop:
+    """Stages as functions: `make NAME TEXT INPUT...` writes TEXT and the inputs' content into @/NAME."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.ran, self.broken = folder, list[str](), set[str]()
+
+    def launch(self, arguments: tuple[str, ...], output: IO[bytes], environment: dict[str, str]) -> Done:
+        _, name, text, *inputs = arguments
+        self.ran.append(name)
+        output.write(b"working\n")
+        if name in self.broken:
+            output.write(b"something broke\n")
+            return Done(3)
+        (self.folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (self.folder / name).write_text(text + "".join(Path(path).read_text() for path in inputs))
+        return Done(0)
+
+    def run(self, stages: list[Stage], have: tuple[Path, ...] = (), slots: int = 2) -> tuple[dict[str, str], list[str]]:
+        """Return the states by stage, and which stages ran."""
+        self.ran.clear()
+        runner = Runner(stages, self.folder, slots, have, lambda progress, event: None, self.launch)
+        runner.run()
+        return runner.progress.state, list(self.ran)
+
+
+@pytest.fixture(autouse=True)
+def impatient(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("learning.reproduce.runner.POLL", 0.001)
+
+
+def make(name: str, text: str, *needs: str, scratch: tuple[str, ...] = ()) -> Stage:
+    places = tuple(f"@/{need}" for need in needs)
+    return Stage(name, ("make", name, text, *places), (f"@/{name}",), needs, scratch=scratch, alone=False)
+
+
+def diamond(a: str = "a", b: str = "b", c: str = "c") -> list[Stage]:
+    return [make("A", a), make("B", b, "A"), make("C", c, "A"), make("D", "d", "B", "C"), make("E", "e")]
+
+
+def test_what_is_done_is_not_done_again(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    state, ran = shop.run(diamond())
+    assert set(state.values()) == {"done"} and sorted(ran) == list("ABCDE")
+    assert (tmp_path / "D").read_text() == "dbaca"
+    assert ran.index("A") < min(ran.index("B"), ran.index("C")) and ran.index("D") > max(ran.index("B"), ran.index("C"))
+    state, ran = shop.run(diamond())
+    assert set(state.values()) == {"kept"} and ran == []
+
+
+@pytest.mark.parametrize(("changed", "again"), [({"a": "x"}, "ABCD"), ({"b": "x"}, "BD"), ({"c": "x"}, "CD")])
+def test_a_changed_setting_reruns_what_depends_on_it_and_nothing_else(
+    tmp_path: Path, changed: dict[str, str], again: str
+) -> None:
+    shop = Workshop(tmp_path)
+    shop.run(diamond())
+    _, ran = shop.run(diamond(**changed))
+    assert sorted(ran) == list(again)
+
+
+def test_a_product_that_is_gone_or_was_touched_is_made_again(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.run(diamond())
+    (tmp_path / "B").unlink()
+    assert shop.run(diamond())[1] == ["B"], "the same comes out of it, so D is still good"
+    (tmp_path / "C").write_text("edited by hand")
+    assert shop.run(diamond())[1] == ["C"]
+
+
+def test_a_failure_stops_what_needs_it_alone_and_the_next_run_goes_on(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.broken = {"B"}
+    said: list[str] = []
+    runner = Runner(diamond(), tmp_path, 2, (), lambda progress, event: said.append(event), shop.launch)
+    assert not runner.run()
+    assert runner.progress.state == {"A": "done", "B": "failed", "C": "done", "D": "blocked", "E": "done"}
+    (failure,) = [event for event in said if "FAILED" in event]
+    assert "B" in failure and "exit code 3" in failure and "something broke" in failure and "B.log" in failure
+    shop.broken = set()
+    assert shop.run(diamond())[1] == ["B", "D"]
+
+
+def test_a_command_that_leaves_no_product_has_failed(tmp_path: Path) -> None:
+    runner = Runner([make("A", "a")], tmp_path, 1, (), lambda progress, event: None, lambda *_: Done(0))
+    assert not runner.run()
+    assert runner.progress.state == {"A": "failed"}
+
+
+def test_half_done_work_is_kept_for_the_same_command_only(tmp_path: Path) -> None:
+    shop = Workshop(tmp_path)
+    shop.broken = {"A"}
+    stage = make("A", "a", scratch=("@/runs",))
+    shop.run([stage])
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs/checkpoint").write_text("half")
+    shop.run([stage])
+    assert (tmp_path / "runs/checkpoint").exists()
+    shop.run([make("A", "other", scratch=("@/runs",))])
+    assert not (tmp_path / "runs").exists()
+
+
+def test_products_of_the_very_same_commands_are_taken_over(tmp_path: Path) -> None:
+    there, here = Workshop(tmp_path / "there"), Workshop(tmp_path / "here")
+    there.run(diamond())
+    state, ran = here.run(diamond(b="x"), have=(there.folder,))
+    assert ran == ["B", "D"]
+    assert [name for name, each in state.items() if each == "taken"] == ["A", "C", "E"]
+    assert (here.folder / "D").read_text() == "dxaca" and (there.folder / "D").read_text() == "dbaca"
+    stamp = Stamps(here.folder).read(diamond()[0])
+    assert stamp is not None and stamp.taken_from == str(there.folder)
+    assert here.run(diamond(b="x"))[1] == []
+
+
+def test_no_more_run_at_a_time_than_there_is_room_for(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "7")
+    together: list[list[str]] = []
+    running: list[str] = []
+    lock = threading.Lock()
+
+    class Slow(Done):
+        def __init__(self, name: str) -> None:
+            super().__init__(0)
+            self.name, self.until = name, time.monotonic() + 0.02
+
+        def poll(self) -> int | None:  # type: ignore[override]
+            if time.monotonic() < self.until:
+                return None
+            with lock:
+                running.remove(self.name)
+            (tmp_path / self.name).write_text("")
+            return 0
+
+    def launch(arguments: tuple[str, ...], output: IO[bytes], environment: dict[str, str]) -> Slow:
+        with lock:
+            running.append(arguments[1])
+            together.append(list(running))
+        assert environment["OMP_NUM_THREADS"] == ("7" if arguments[1].startswith("alone") else "1")
+        return Slow(arguments[1])
+
+    stages = [make(f"train{number}", "") for number in range(7)]
+    stages[3:3] = [replace(make(f"alone{number}", ""), alone=True) for number in range(2)]
+    assert Runner(stages, tmp_path, 3, (), lambda progress, event: None, launch).run()
+    assert max(map(len, together)) == 3
+    assert all(len(names) == 1 for names in together if any(name.startswith("alone") for name in names))
+
+
+def test_progress_says_how_far_and_how_long(tmp_path: Path) -> None:
+    seen: list[tuple[int, float, list[str]]] = []
+
+    def show(progress: Progress, event: str) -> None:
+        seen.append((progress.finished, progress.left(), lines_of(progress)))
+
+    Runner(diamond(), tmp_path, 1, (), show, Workshop(tmp_path).launch).run()
+    assert [finished for finished, _, _ in seen] == sorted(finished for finished, _, _ in seen)
+    assert seen[0][1] > seen[-1][1] == 0
+    assert any("stage 1, A" in "".join(lines) for _, _, lines in seen)
+
+
+@pytest.mark.parametrize("name", PRESETS)
+@pytest.mark.parametrize("machine", [Machine(2, False), Machine(16, True)])
+def test_every_planned_command_exists_and_all_it_reads_is_made_before(name: str, machine: Machine, tmp_path: Path) -> None:
+    import importlib
+    import inspect
+    import typing
+
+    stages = stages_of(name, PRESETS[name], machine)
+    runner = Runner(stages, tmp_path, 1, (), lambda progress, event: None)
+    assert len(runner.stages) == len(stages), "no two of one name"
+    made: dict[str, str] = {}
+    for stage in stages:
+        assert set(stage.needs) <= set(made.values()), "each comes after those it needs"
+        for argument in stage.arguments:
+            if argument.startswith("@/") and argument not in (*stage.products, *stage.scratch):
+                makers = {by for product, by in made.items() if product.startswith(argument)}
+                outputs = [product for product in stage.products if product.startswith(argument)]
+                assert outputs or makers & set(stage.needs), f"{stage.name} reads {argument}, which nothing it needs makes"
+        assert not set(stage.products) & set(made), stage.name
+        made |= dict.fromkeys(stage.products, stage.name)
+        found = cli.find(runner.arguments(stage))
+        assert found is not None, stage.arguments
+        command, options = found
+        module, _, function = command.target.partition(":")
+        main = getattr(importlib.import_module(module), function)
+        (parameter,) = inspect.signature(main).parameters
+        tyro.cli(typing.get_type_hints(main)[parameter], args=list(options))  # SystemExit where an option does not exist
+
+
+def test_what_is_compared_has_equal_data_and_samples() -> None:
+    for name, preset in PRESETS.items():
+        stages = stages_of(name, preset, Machine(2, False))
+        first = preset.groups[0].name
+        asked = [
+            stage.arguments for stage in stages if stage.name.startswith(f"train {first}/") and "--samples" in stage.arguments
+        ]
+        for option in ("--samples", "--data", "--preset"):
+            values = {arguments[arguments.index(option) + 1] for arguments in asked} - {"whole-image"}
+            assert len(values) == 1, (name, option, values)
+
+
+def in_process(arguments: tuple[str, ...], output: IO[bytes], environment: dict[str, str]) -> Done:
+    """Run a `vantage` command here: a dozen processes that load torch would take longer than all they do."""
+    text = io.TextIOWrapper(output, write_through=True)
+    try:
+        with contextlib.redirect_stdout(text), contextlib.redirect_stderr(text):
+            found = cli.find(arguments)
+            assert found is not None
+            return Done(cli.run(*found))
+    finally:
+        text.detach()
+
+
+@pytest.fixture
+def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[Preset]:
+    """The preset `smoke` with networks of a few channels."""
+    shape = VptTobSettings(width=0.25, whole_image=True, caught_head=True)
+    monkeypatch.setitem(recipe.PRESETS, "compact", replace(recipe.PRESETS["compact"], network=shape))
+    monkeypatch.setitem(recipe.VPN_PRESETS, "compact", replace(recipe.VPN_PRESETS["compact"], held=64, pool=64))
+    narrow = replace(train_caught.PRESETS["compact"], encoder=(4, 4, 8, 8, 8, 8, 16, 16))
+    monkeypatch.setitem(train_caught.PRESETS, "compact", narrow)
+    threads = torch.get_num_threads()
+    yield PRESETS["smoke"]
+    torch.set_num_threads(threads)
+
+
+def reproduce(preset: Preset, folder: Path) -> tuple[Runner, list[str]]:
+    ran: list[str] = []
+
+    def launch(arguments: tuple[str, ...], output: IO[bytes], environment: dict[str, str]) -> Done:
+        ran.append(environment["VANTAGE_STAGE"])
+        return in_process(arguments, output, environment)
+
+    said: list[str] = []
+    stages = stages_of("smoke", preset, Machine(2, False))
+    runner = Runner(stages, folder, 1, (), lambda progress, event: said.append(event), launch)
+    assert runner.run(), "\n".join(said)
+    return runner, ran
+
+
+@pytest.mark.timeout(600)
+def test_from_nothing_to_the_page(tiny: Preset, tmp_path: Path) -> None:
+    folder = tmp_path / "reproduction"
+    runner, ran = reproduce(tiny, folder)
+    assert len(ran) == len(runner.stages)
+    page = (folder / "results.md").read_text()
+    figures = json.loads((folder / "figures/figures.json").read_text())["figures"]
+    expected = {"training-pairs", "predicted-views", "side-by-side", "value-maps", "run", "table-1", "accuracy-over-horizon"}
+    assert {Path(name).stem for name in figures} == expected | {"reliability", "table-2", "play"}
+    for name in figures:
+        assert f"](figures/{name})" in page
+        assert 1_000 < (folder / "figures" / name).stat().st_size < 150_000
+    for stage in runner.stages.values():
+        if stage.name != "page":
+            assert shlex.join(("vantage", *runner.arguments(stage))) in page, "the command of every stage"
+    for part in ("the paper, %", "76.61", "88.45", "Commit: `", "cores of", "not met", "seed", "goal-walk"):
+        assert part in page, part
+    accuracy = json.loads((folder / "results/accuracy.json").read_text())
+    for found in accuracy["methods"].values():
+        for seen in found["weights"].values():
+            assert seen["sha256"][:12] in page
+
+    assert reproduce(tiny, folder)[1] == [], "a second run has nothing to do"
+    again = reproduce(replace(tiny, starts=tiny.starts + 1), folder)[1]
+    assert again == ["evaluate maps", "figures", "page"]
+
+    publish(folder, tmp_path)
+    published = (tmp_path / "docs/results.md").read_text()
+    for name in figures:
+        assert f"](figures/{name})" in published and (tmp_path / "docs/figures" / name).is_file()
+
+
+def test_targets_are_said_to_be_met_only_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    rows = [Target("one", "89.0 %", True), Target("two", "50.0 %", False)]
+    monkeypatch.setattr("learning.reproduce.page.targets", lambda found: rows)
+    text = "\n".join(target_table(None))  # type: ignore[arg-type]
+    assert "1 of 2 met" in text
+    assert "| one | 89.0 % | met |" in text and "| two | 50.0 % | **not met** |" in text
+
+
+def one_set(accuracies: dict[str, float], against: dict[str, dict[str, Any]] | None = None) -> dict[str, Any]:
+    methods = {name: {"accuracy": value, "against": (against or {}).get(name, {})} for name, value in accuracies.items()}
+    return {"results": [{"start": "uniform", "horizon limit": 200, "examples": 9, "methods": methods}]}
+
+
+def test_the_order_of_methods_is_stated_as_found() -> None:
+    papers = {"self-perspective": 0.77, "coordinate-path": 0.76, "vector-action": 0.83, "vpt-tob": 0.88}
+    assert any("No pair" in line for line in tables.ordering(one_set(papers)))
+    turned = {**papers, "coordinate-path": 0.90}
+    sure = {"coordinate-path": {"vpt-tob": {"difference": 0.02, "interval 95 %": [0.01, 0.03]}}}
+    lines = tables.ordering(one_set(turned, sure))
+    others = [line for line in lines if line.startswith("* Other than in the paper")]
+    assert len(others) == 3 and all("coordinate-value, path is" in line for line in others)
+    (by_vpt,) = [line for line in others if "above VPT-TOB" in line]
+    assert "2.0 points above" in by_vpt and "more than chance" in by_vpt
+    unsure = {"coordinate-path": {"vpt-tob": {"difference": 0.02, "interval 95 %": [-0.01, 0.05]}}}
+    assert any("less than chance" in line for line in tables.ordering(one_set(turned, unsure)))
+
+
+def test_time_on_the_clock_counts_what_ran_side_by_side_once(tmp_path: Path) -> None:
+    found = tables.Findings(tmp_path)
+    spans = [(0.0, 10.0), (5.0, 10.0), (100.0, 1.0), (2.0, 3.0)]
+    found.stamps = {str(number): {"began": began, "seconds": seconds} for number, (began, seconds) in enumerate(spans)}
+    grid = np.arange(0, 200, 0.5)
+    reference = sum(any(began <= at < began + seconds for began, seconds in spans) for at in grid) * 0.5
+    assert wall(found) == pytest.approx(reference)
