@@ -67,6 +67,8 @@ class TrainVpnSettings:
     """Go on from the checkpoint, if the workspace holds one."""
     report_every: int = 16_384
     """Images learnt from between validations."""
+    validation: int | None = None
+    """Views of validation games that each of them looks at, instead of the preset's number."""
     threads: int = 0
     """CPU threads; 0 = all cores."""
     seed: int = 1
@@ -76,6 +78,8 @@ def resolve(settings: TrainVpnSettings) -> VpnRecipe:
     """Return the preset with what the command line changes."""
     names = ("images", "epochs", "rate", "drop", "on")
     changed = {name: value for name in names if (value := getattr(settings, name)) is not None}
+    if settings.validation is not None:
+        changed["held"] = settings.validation
     recipe = replace(VPN_PRESETS[settings.preset], **changed)
     return replace(recipe, network=replace(recipe.network, width=settings.width)) if settings.width else recipe
 

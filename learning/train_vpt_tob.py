@@ -66,6 +66,8 @@ class TrainVptTobSettings:
     """Go on from the checkpoint, if the workspace holds one."""
     report_every: int = 16_384
     """Samples between validations."""
+    validation: int = 1024
+    """Samples of validation games that each of them looks at."""
     checkpoint_minutes: float = 3.0
     """Minutes between checkpoints."""
     threads: int = 0
@@ -124,7 +126,7 @@ def main(settings: TrainVptTobSettings) -> int:
         say(f"going on after {seen:,} samples, {trained / 60:.1f} minutes")
     board = Board(workspace, seen) if group.rank == 0 else None
 
-    validation = data.draw("validation", 1024, np.random.default_rng(0), recipe.from_start, symmetries=1)
+    held = data.draw("validation", settings.validation, np.random.default_rng(0), recipe.from_start, symmetries=1)
 
     vectors = model == "vector-action"
 
@@ -137,7 +139,7 @@ def main(settings: TrainVptTobSettings) -> int:
             number += group.size
 
     def batches() -> Iterator[Tensors]:
-        """What to learn from, on the device."""
+        """Whatever is learnt from comes from here, on the device."""
         for batch in prefetch(rendered):
             yield tensors_of(batch, group.device)
 
@@ -180,7 +182,7 @@ def main(settings: TrainVptTobSettings) -> int:
         trained, clock = trained + time.monotonic() - clock, time.monotonic()
         done = progress()
         if group.rank == 0 and (seen - reported >= settings.report_every or done >= 1.0):
-            measures, (batch, views) = trainer.validate(data.batches(validation, 64, target, vectors))
+            measures, (batch, views) = trainer.validate(data.batches(held, 64, target, vectors))
             panel = draw_panel(workspace / "latest.png", batch, views, target)
             better = measures["loss"] < best
             if better:

@@ -35,7 +35,7 @@ COMMANDS = (
     Command("gather", "learning.gather:main", "make one whole training set: games, conversion, exact split sizes"),
     Command("collect", "learning.collect:main", "simulate games in parallel into MCAP logs"),
     Command("convert", "learning.convert:main", "turn logs into a training set"),
-    Command("train vpt-tob", "learning.train_vpt_tob:main", "train the view prediction network"),
+    Command("train vpt-tob", "learning.train_vpt_tob:main", "train a network that predicts a view: VPT-TOB and its baselines"),
     Command("train vpn", "learning.train_vpn:main", "train the network that judges a predicted view"),
     Command("train caught", "learning.train_caught:main", 'train a network that says "caught" itself: hazard, coordinate-value'),
     Command("evaluate", "learning.evaluate:main", "accuracy of trained weights beside what needs no network"),

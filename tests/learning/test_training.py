@@ -1,7 +1,7 @@
 """Training end to end on real logs, small: it learns, goes on where it stopped, and its weights answer and are evaluated."""
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +10,7 @@ import torch
 
 from learning import evaluate, train_vpn, train_vpt_tob
 from learning.collect import CollectSettings, play_block
+from learning.compiling import to_compile
 from learning.convert import convert
 from learning.dataset import Dataset
 from learning.group import Group
@@ -20,7 +21,7 @@ from learning.trainer import Model, Trainer
 from schemas import Rules
 from vantage.networks.inference import Inference
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
-from vantage.networks.weights import load, read_card
+from vantage.networks.weights import UnusableWeights, load, read_card
 
 ALONE = Group(0, 1, torch.device("cpu"))
 SMALL = replace(PRESETS["compact"], network=VptTobSettings(width=0.25, whole_image=True, caught_head=True), batch=8)
@@ -78,7 +79,7 @@ PLAIN = Recipe(network=VptTobSettings(width=0.25), batch=8)
 def test_it_learns_one_batch_by_heart(dataset: Dataset, model: Model, recipe: Recipe) -> None:
     trainer = Trainer(model, recipe, ALONE, compiled=False, seed=0)
     batch = rendered(dataset, 0, model)
-    losses = [float(trainer.learn(batch, 3.0)) for _ in range(25)]
+    losses = [float(trainer.learn(batch, 3.0)) for _ in range(20)]
     assert losses[-1] < 0.6 * losses[0]
     assert trainer.network.architecture == model
 
@@ -108,6 +109,84 @@ def _copied(state: dict[str, object]) -> dict[str, object]:
     return copy.deepcopy(state)
 
 
+@pytest.mark.parametrize("symmetries", [1, 8])
+def test_the_hiders_own_later_view_is_a_target_of_its_own(dataset: Dataset, symmetries: int) -> None:
+    samples = dataset.draw("train", 16, np.random.default_rng(0), symmetries=symmetries)
+    now = dataset.render(replace(samples, horizon=np.zeros_like(samples.horizon)), "hider")
+    np.testing.assert_array_equal(now.targets, now.inputs[..., :3])  # its view after no step is its view
+    seekers, hiders = dataset.render(samples), dataset.render(samples, "hider")
+    np.testing.assert_array_equal(hiders.inputs, seekers.inputs)
+    assert (hiders.targets != seekers.targets).any(axis=(1, 2, 3)).all()
+    caught = dataset.episodes["caught_step"][samples.episode]
+    late = np.flatnonzero(samples.caught)
+    at_catch = dataset.render(replace(samples, horizon=np.where(samples.caught, caught - samples.start, 0)), "hider")
+    assert late.size
+    np.testing.assert_array_equal(hiders.targets[late], at_catch.targets[late])  # frozen
+
+
+def test_a_baseline_is_trained_judged_and_never_taken_for_vpt_tob(
+    dataset: Dataset, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(PRESETS, "paper", PLAIN)
+    settings = TrainVptTobSettings(
+        model="self-perspective", data=dataset.folder, samples=8, validation=16, to=tmp_path / "vpt-tob.safetensors", threads=1
+    )
+    assert train_vpt_tob.main(replace(settings, workspace=tmp_path / "run")) == 0
+    card = read_card(tmp_path / "vpt-tob.safetensors")
+    assert (card.architecture, card.training["target"]) == ("self-perspective", "the hider's view")
+    vpn = train_vpn.TrainVpnSettings(
+        data=dataset.folder,
+        views=tmp_path / "vpt-tob.safetensors",
+        to=tmp_path / "vpn.safetensors",
+        images=32,
+        epochs=1,
+        threads=1,
+    )
+    assert train_vpn.main(replace(vpn, workspace=tmp_path / "vpn")) == 0
+    assert read_card(tmp_path / "vpn.safetensors").inputs == {"vpt-tob.safetensors": card.sha256}
+    with pytest.raises(UnusableWeights, match="holds a self-perspective network, wanted is vpt-tob"):
+        Inference.of_weights(tmp_path)
+
+
+def test_a_checkpoint_of_an_earlier_version_is_of_the_same_training() -> None:
+    recipe = PRESETS["compact"]
+    now = {"model": "vpt-tob", "recipe": asdict(recipe), "data": "hash"}
+    earlier = {"recipe": {name: value for name, value in asdict(recipe).items() if name != "moments"}, "data": "hash"}
+    assert train_vpt_tob.settled(earlier) == train_vpt_tob.settled(now) == now
+    assert train_vpt_tob.settled({**earlier, "model": "vector-action"}) != now
+
+
+def test_compiling_is_for_long_trainings_where_there_is_a_compiler(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cpu = torch.device("cpu")
+    monkeypatch.delenv("CXX", raising=False)
+    monkeypatch.setenv("PATH", str(tmp_path))
+    chosen, why = to_compile("auto", cpu, 800_000, None)
+    assert not chosen and "a C++ compiler is missing" in why
+    compiler = tmp_path / "g++"
+    compiler.write_text("#!/bin/sh\n")
+    compiler.chmod(0o755)
+    assert to_compile("auto", cpu, 800_000, None)[0] and to_compile("auto", cpu, 0, 60.0)[0]
+    assert not to_compile("auto", cpu, 5_000, None)[0] and not to_compile("auto", cpu, 800_000, 2.0)[0]
+    assert to_compile("on", cpu, 1, None)[0] and not to_compile("off", cpu, 800_000, None)[0]
+
+
+def test_a_stream_shows_fresh_views_and_a_fixed_set_each_once_an_epoch(dataset: Dataset) -> None:
+    views = train_vpn.Views(dataset, None, ALONE.device)
+    fixed = VpnRecipe(images=20, batch=8, on="true")
+    parts = [batch for batch, _ in zip(train_vpn.repeated(views, fixed, 1, 0), range(6), strict=False)]
+    images = torch.cat([shown for shown, _ in parts]).flatten(1)
+    assert [len(shown) for shown, _ in parts] == [8, 8, 4, 8, 8, 4]
+    assert sorted(map(hash, map(bytes, images[:20].numpy()))) == sorted(map(hash, map(bytes, images[20:].numpy())))
+    assert not torch.equal(images[:20], images[20:])
+    later = next(train_vpn.repeated(views, fixed, 1, 28))  # resumed
+    assert torch.equal(later[0], parts[4][0])
+    stream = train_vpn.streamed(views, replace(fixed, stream=True, epochs=2, pool=32), 1, 0)
+    shown, caught = zip(*(batch for batch, _ in zip(stream, range(40), strict=False)), strict=True)
+    assert {len(batch) for batch in shown} == {8}
+    assert len({bytes(image) for image in torch.cat(shown).flatten(1).numpy()}) > 60  # of 320, far more than the pool holds
+    assert 0 < float(torch.cat(caught).mean()) < 1
+
+
 def test_from_training_to_answers_and_results(
     dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -120,6 +199,7 @@ def test_from_training_to_answers_and_results(
         samples=96,
         workspace=tmp_path / "run",
         report_every=48,
+        validation=64,
         threads=1,
     )
     assert train_vpt_tob.main(settings) == 0
@@ -153,10 +233,10 @@ def test_from_training_to_answers_and_results(
         images=1024,
         epochs=1,
         report_every=512,
+        validation=64,
         workspace=tmp_path / "vpn",
         threads=1,
     )
-    monkeypatch.setitem(VPN_PRESETS, "compact", replace(VPN_PRESETS["compact"], held=100))
     assert train_vpn.main(learn) == 0
     assert "a stream of 1,024 predictions" in capsys.readouterr().out
     assert train_vpn.main(replace(learn, images=1280)) == 0  # goes on from the checkpoint
