@@ -29,13 +29,15 @@ def page_of(report: dict[str, Any]) -> str:
             "",
             "## Relative ranking accuracy, equality included (the paper's Table II), %",
             "",
-            f"Ground truth: {one}. Pairs of goals at least 3 cells apart; sign(Vi - Vj) must match.",
+            f"Ground truth: {one}. Pairs of goals at least 3 cells apart; sign(Vi - Vj) must match. "
+            f"{_tied(report, horizons, one)} of the pairs tie in the ground truth: what never ties (added probabilities, "
+            "distances) is wrong about all of these.",
             "",
             *_table(report["ranking"], horizons, one, "with_ties", _percent, paper),
             "",
             "## The same over pairs that differ in the ground truth, %",
             "",
-            f"Ground truth: {one}; {_tied(report, horizons, one)} of the pairs are tied. A predicted tie is wrong.",
+            f"Ground truth: {one}. A predicted tie is wrong.",
             "",
             *_table(report["ranking"], horizons, one, "without_ties", _percent),
             "",
@@ -78,8 +80,8 @@ def _setting(report: dict[str, Any]) -> str:
         f"seeker `{report['seeker']}`, layout `{report['layout']}`; every goal simulated with the episode's own seed and "
         f"{report['simulations']} others; {report['goals per map']:.1f} goals a map, on {report['free goals per map']:.1f} of "
         "which the hider can truly stand. ± is the standard deviation over maps; brackets hold 95 % of the bootstrap over "
-        "starts. `binary` adds v in {0, 1} as in the paper, `expected` adds probabilities. Methods learnt from plans of at "
-        "most 200 steps and are asked about longer ones."
+        "starts. `binary` adds v in {0, 1} as in the paper, `expected` adds probabilities, `rounded` rounds that sum. Methods "
+        "learnt from plans of at most 200 steps and are asked about longer ones."
     )
 
 

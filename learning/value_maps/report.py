@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.value_maps.heuristics import HEURISTICS, seen_or_centre
+from learning.value_maps.judged import VALUES
 from learning.value_maps.play import BEST, OUTCOMES, UNIFORM, play
 from learning.value_maps.ranking import agreement
 from learning.value_maps.summary import summary
@@ -19,6 +20,7 @@ from services.planner.value_map import choose_goal
 COMPARED = ("with_ties", "without_ties", "ties_half", "tau_b")
 ONE_SIMULATION = "one simulation"
 ANOTHER = "another simulation"
+ROUNDED = "rounded"
 
 Maps = dict[str, NDArray[np.float64]]
 """Predictor -> value maps [S, H, 121] of S starts at H horizons."""
@@ -71,7 +73,21 @@ def references(cases: Sequence[Case], horizons: Sequence[int], truth: str) -> Ma
 
 def reference_of(name: str, against: str) -> str:
     """Return the predictor whose order of goals another's is compared with: the method `against`, added up in the same way."""
-    return f"{against}, binary" if name.endswith(", binary") else f"{against}, expected"
+    value = name.rpartition(", ")[2]
+    return f"{against}, {value if value in (*VALUES, ROUNDED) else 'expected'}"
+
+
+def with_rounded(maps: Maps) -> Maps:
+    """Return the maps, and beside those of added probabilities the same rounded to whole checkpoints: as the true V is whole,
+    two goals often tie in it, and probabilities never do.
+    """
+    rounded = {name: f"{name.removesuffix(', expected')}, {ROUNDED}" for name in maps if name.endswith(", expected")}
+    found = {}
+    for name, values in maps.items():
+        found[name] = values
+        if name in rounded:
+            found[rounded[name]] = np.round(values)
+    return found
 
 
 def ranking(
@@ -93,7 +109,7 @@ def ranking(
     found: dict[str, Any] = {str(horizon): {} for horizon in horizons}
     for truth, true_maps in ground_truths(cases, horizons).items():
         measured: dict[str, dict[str, NDArray[np.float64]]] = {}  # predictor -> measure -> [H, S]
-        for name, predicted in {**maps, **references(cases, horizons, truth)}.items():
+        for name, predicted in {**with_rounded(maps), **references(cases, horizons, truth)}.items():
             table = [
                 [asdict(agreement(predicted[s, h], true_maps[s, h] + mask[s])) for s in range(len(cases))]
                 for h in range(len(horizons))

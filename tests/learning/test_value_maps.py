@@ -279,7 +279,8 @@ def test_the_report_ranks_every_predictor_against_both_truths() -> None:
     expected = one["vpt-tob, expected"]["without_ties"]["mean"]
     assert one[ANOTHER]["without_ties"]["difference"]["mean"] == pytest.approx(np.nanmean(by_hand) - expected)
     mean = found["ranking"]["60"][mean_of(6)]
-    assert set(mean) == {*found["maps"], ANOTHER}
+    assert set(mean) == {*found["maps"], "vpt-tob, rounded", ANOTHER}
+    assert mean["vpt-tob, rounded"]["predicted_tied"]["mean"] > mean["vpt-tob, expected"]["predicted_tied"]["mean"]
     truth = ground_truths(cases, (60,))[mean_of(6)][0, 0]
     assert truth[GOAL_NUMBERS] == pytest.approx(counted(cases[0].caught[:, 1:], 60).mean(axis=1))
 
