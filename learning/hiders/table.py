@@ -14,6 +14,7 @@ from learning.hiders.replay import Replay, Trajectories
 
 Make = Callable[[int, np.random.Generator, Trajectories], HiderPolicy]
 
+
 def policy_generator(seed: int) -> np.random.Generator:
     """Return the generator of a hider's own choices in the episode of this seed."""
     return np.random.default_rng([seed, 0x41DE])
