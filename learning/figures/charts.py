@@ -50,7 +50,7 @@ def table_one(accuracy: Result) -> Figure:
         low, high = (100 * bound for bound in methods[name]["accuracy interval 95 %"])
         axes.barh(row, value, color=color_of(name), height=0.66)
         axes.plot([low, high], [row, row], color="black", linewidth=2)
-        axes.text(40.7, row, f"{value:.1f} %", va="center", fontsize=11, color="white", fontweight="bold")
+        axes.text(40.7, row, f"{value:.1f} %", va="center", fontsize=11, color="white", fontweight="bold", zorder=6)
         paper = METHOD_TABLE[name].paper if name in METHOD_TABLE else None
         if paper is not None:
             axes.plot(100 * paper, row, "D", color="white", markeredgecolor="black", markersize=9, zorder=5)
@@ -155,6 +155,7 @@ def play_chart(maps: Result) -> Figure:
     steps = str(maps["horizons"][0])
     found = maps["play"][steps]
     labels = {name: title_of(name.removesuffix(", expected")) for name in found if not name.endswith(", binary")}
+    labels[BEST] = "the best goal"
     order = sorted(labels, key=lambda name: found[name]["survival"]["mean"])
     caption = (
         f"{len(maps['starts'])} starts, {maps['simulations']} simulations of each goal. Black line: 95 % interval of the mean."

@@ -48,7 +48,14 @@ def value_maps(found: Arrays, layout: str, rows: int = 4, horizon: int = 0) -> F
     height = rows * (side + 0.32) + 1.75
     figure = new_figure(height, f"Value maps of the first {rows} starts, T = {steps} steps", caption, width=columns * side + 1.3)
     grid = figure.add_gridspec(
-        rows, columns, left=0.02, right=1 - 1.0 / figure.get_figwidth(), top=1 - 0.85 / height, bottom=0.95 / height, wspace=0.06
+        rows,
+        columns,
+        left=0.02,
+        right=1 - 1.0 / figure.get_figwidth(),
+        top=1 - 0.85 / height,
+        bottom=0.95 / height,
+        wspace=0.06,
+        hspace=0.32 / side,
     )
     norm = Normalize(0, count)
     for row in range(rows):

@@ -33,7 +33,7 @@ class ReproduceSettings:
     Examples:
       vantage reproduce --preset quick
       vantage reproduce --preset hours --have reproduction/quick --publish
-      vantage reproduce --preset paper --list
+      vantage reproduce --preset hours --given longer=weights/ --list
     """
 
     preset: Literal["quick", "hours", "paper", "smoke"] = "quick"
@@ -43,6 +43,8 @@ class ReproduceSettings:
     """Folder for everything; default reproduction/PRESET."""
     have: tuple[Path, ...] = ()
     """Folders of earlier reproductions: what the very same commands made there from the same data is taken over."""
+    given: tuple[str, ...] = ()
+    """GROUP=FOLDER: networks of a group that lie trained in a folder, with their cards, and are taken as they are."""
     publish: bool = False
     """Also copy page, figures and results into docs/."""
     jobs: int = 0
@@ -55,7 +57,7 @@ def main(settings: ReproduceSettings) -> int:
     """Reproduce; returns the exit code."""
     folder = settings.to or Path("reproduction") / settings.preset
     preset, machine = PRESETS[settings.preset], Machine.here()
-    stages = stages_of(settings.preset, preset, machine)
+    stages = stages_of(settings.preset, preset, machine, given_weights(settings, folder))
     display = Display(Console(highlight=False))
     runner = Runner(stages, folder, settings.jobs or (1 if machine.gpu else machine.cores), settings.have, display.show)
     if settings.list:
@@ -87,6 +89,36 @@ def main(settings: ReproduceSettings) -> int:
         publish(folder, Path())
         display.console.print("published: docs/results.md, docs/figures/, docs/results/")
     return 0
+
+
+class Refusal(ValueError):
+    """A reproduction that cannot be made so; the text says why."""
+
+    for_people = True
+
+
+def given_weights(settings: ReproduceSettings, folder: Path) -> list[Path]:
+    """Copy what was given into the reproduction's weights, and return where it lies there.
+
+    Raises:
+        Refusal: a group or a file is not there.
+    """
+    groups = {group.name for group in PRESETS[settings.preset].groups}
+    places = []
+    for gift in settings.given:
+        group, _, source = gift.partition("=")
+        if group not in groups:
+            raise Refusal(f"--given {gift}: the preset `{settings.preset}` has the groups {', '.join(sorted(groups))}")
+        found = sorted(Path(source).glob("*.safetensors"))
+        if not found:
+            raise Refusal(f"--given {gift}: no weights in {source}")
+        target = folder / "weights" / group
+        target.mkdir(parents=True, exist_ok=True)
+        for path in (other for weights in found for other in (weights, weights.with_suffix(".json"), weights.with_suffix(".md"))):
+            if path.resolve() != (target / path.name).resolve():
+                shutil.copy2(path, target / path.name)
+        places += [target / path.name for path in found]
+    return places
 
 
 def publish(folder: Path, root: Path) -> None:

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from learning.accuracy.report import CLOCK, ORACLE
+from learning.accuracy.report import CLOCK
 from learning.figures.charts import headline, known
 from learning.figures.style import title_of
 from learning.reproduce import tables
 from learning.reproduce.stages import EXPERIMENTS
 from learning.reproduce.tables import Findings, Json, interval, markdown, percent
-from learning.value_maps.report import ANOTHER, ONE_SIMULATION
+from learning.reproduce.targets import target_table, wall
 
 
 @dataclass(frozen=True)
@@ -34,21 +34,6 @@ class PageSettings:
     """What the page calls its scale."""
     experiments: Path = EXPERIMENTS
     """Folder with JSON of levers that were tried."""
-
-
-@dataclass(frozen=True)
-class Target:
-    """A row of what must be shown.
-
-    Attributes:
-        wanted: as the task says it.
-        reached: what came out.
-        met: None where there is nothing to judge.
-    """
-
-    wanted: str
-    reached: str
-    met: bool | None
 
 
 def main(settings: PageSettings) -> int:
@@ -70,7 +55,7 @@ def page_of(found: Findings, preset: str, experiments: Path) -> str:
     """Return the page as Markdown."""
     sections = [
         _opening(found, preset),
-        ["## Asked for, and reached", "", *target_table(found)],
+        ["## Asked for, and reached", "", *target_table(found, preset)],
         _table_one(found),
         _table_two(found),
         _play(found),
@@ -102,89 +87,11 @@ def _opening(found: Findings, preset: str) -> list[str]:
     taken = [name for name, stamp in found.stamps.items() if stamp.get("taken_from")]
     if taken:
         lines += ["", f"Taken over from earlier runs of the same commands on the same data: {', '.join(taken)}."]
+    given = [f"{group}/{stem}" for group, cards in found.cards.items() for stem in cards if not _stamp(found, group, stem)]
+    if given:
+        lines += ["", f"Given from outside, and told of by their cards alone: {', '.join(given)}."]
     warnings = [line for report in (found.accuracy, *found.of_groups.values()) for line in report["warnings"]]
     return [*lines, *([""] if warnings else []), *(f"* Note: {line}" for line in dict.fromkeys(warnings))]
-
-
-def wall(found: Findings) -> float:
-    """Return the seconds in which at least one stage ran."""
-    total = end = 0.0
-    for stamp in sorted(found.stamps.values(), key=lambda stamp: stamp["began"]):
-        last = stamp["began"] + stamp["seconds"]
-        total += max(0.0, last - max(end, stamp["began"]))
-        end = max(end, last)
-    return total
-
-
-def targets(found: Findings) -> list[Target]:
-    """Return what the study had to show, beside what it showed; each judged by the network that saw most samples."""
-    rows = []
-    for name, least in (("vpt-tob", 0.8845), ("hazard", 0.92)):
-        largest = found.largest(name, found.of_groups, found.accuracy)
-        if largest is None:
-            continue
-        group, report = largest
-        set_ = headline(report)
-        one = set_["methods"][name]
-        value, bounds = one["accuracy"], one["accuracy interval 95 %"]
-        text = f"{percent(value)} % {interval(bounds)}, {_scale(found, group, name)}"
-        title = f"{title_of(name)}, accuracy at T = {set_['horizon limit']}"
-        rows.append(Target(f"{title}: at least {100 * least:g} %", text, value >= least))
-        if name == "vpt-tob" and CLOCK in one["against"]:
-            gain = one["against"][CLOCK]["difference"]
-            above = f"{tables.over(one, CLOCK)} points ({CLOCK}: {percent(set_['methods'][CLOCK]['accuracy'])} %)"
-            rows.append(Target(f"{title}: at least 10 points above the horizon-only predictor", above, gain >= 0.10))
-    oracle = headline(found.accuracy)["methods"].get(ORACLE)
-    if oracle:
-        text = f"{percent(oracle['accuracy'])} % {interval(oracle['accuracy interval 95 %'])}"
-        rows.append(Target("oracle (the ceiling): about 97 %", text, abs(oracle["accuracy"] - 0.97) <= 0.015))
-    for name, least in (("vpt-tob", 0.88), ("hazard", 0.91)):
-        largest = found.largest(name, found.maps_of_groups, found.maps)
-        one = tables.best_tie_free(largest[1], name) if largest else None
-        if largest and one and one["mean"] is not None:
-            text = f"{percent(one['mean'])} % {interval(one['interval 95 %'])}, {_scale(found, largest[0], name)}"
-            steps = largest[1]["horizons"][0]
-            title = f"relative ranking accuracy, tie-free, T = {steps}, {title_of(name)}"
-            rows.append(Target(f"{title}: at least {100 * least:g} %", text, one["mean"] >= least))
-    ceiling = tables.best_tie_free(found.maps, ANOTHER)
-    if ceiling and ceiling["mean"] is not None:
-        text = f"{percent(ceiling['mean'])} % {interval(ceiling['interval 95 %'])}"
-        rows.append(Target("the same of a second simulation: about 94 %", text, abs(ceiling["mean"] - 0.94) <= 0.02))
-    rows += _loss(found)
-    size = sum(path.stat().st_size for path in (found.folder / "weights" / found.compared).glob("*.safetensors"))
-    rows.append(Target("weights of Table I: at most 10 MB in all", f"{size / 1e6:.1f} MB", size <= 10e6))
-    return rows
-
-
-def _loss(found: Findings) -> list[Target]:
-    largest = found.largest("vpt-tob", found.maps_of_groups, found.maps)
-    if largest is None or len(largest[1]["horizons"]) < 2:
-        return []
-    horizons = largest[1]["horizons"]
-    rows = []
-    for value, label in (("binary", "as in the paper"), ("expected", "by summed probabilities")):
-        one = largest[1]["ranking"][str(horizons[-1])][ONE_SIMULATION].get(f"vpt-tob, {value}", {}).get("with_ties", {})
-        change = one.get("change since the first horizon")
-        if change and change["mean"] is not None:
-            text = f"{100 * change['mean']:+.1f} points {interval(change['interval 95 %'], signed=True)}"
-            what = f"change of the relative ranking accuracy from T = {horizons[0]} to {horizons[-1]}, {label}"
-            rows.append(Target(f"{what}: a loss of at most 2.5 points", text, change["mean"] >= -0.025))
-    return rows
-
-
-def target_table(found: Findings) -> list[str]:
-    """Return asked and reached, with a plain word on each."""
-    rows = targets(found)
-    words = {True: "met", False: "**not met**", None: ""}
-    met = sum(row.met is True for row in rows)
-    table = markdown(["asked for", "reached [95 %]", ""], [[row.wanted, row.reached, words[row.met]] for row in rows])
-    return [f"{met} of {len(rows)} met. Each is judged by its value, not by the interval's end.", "", *table]
-
-
-def _scale(found: Findings, group: str, name: str) -> str:
-    card = found.cards.get(group or found.compared, {}).get(name, {})
-    samples = card.get("training", {}).get("samples")
-    return f"{samples:,} samples, preset `{card['preset']}`" if samples else "scale unknown"
 
 
 def _table_one(found: Findings) -> list[str]:
@@ -336,19 +243,27 @@ def _training(found: Findings) -> list[str]:
     rows = []
     for group, cards in found.cards.items():
         for stem, card in cards.items():
-            training, stamp = card.get("training", {}), found.stamps.get(f"train-{group}-{stem}", {})
+            training, stamp = card.get("training", {}), _stamp(found, group, stem)
             seen = f"{training['samples']:,} samples" if training.get("samples") else f"{training.get('images', 0):,} views"
-            minutes = f"{stamp['seconds'] / 60:.1f}" if stamp else ""
+            minutes = f"{stamp['seconds'] / 60:.1f}" if stamp else f"{training.get('minutes', 0):.1f} (card)"
+            games = card.get("data", {}).get("episodes", {}).get("train", "")
             where = f"{training.get('device', '')}, seed {training.get('seed', '')}"
-            rows.append([f"{group}/{stem}", card.get("preset", ""), seen, minutes, where, f"`{card.get('sha256', '')[:12]}`"])
-    head = ["weights", "preset", "seen", "minutes, start included", "on", "sha256"]
+            rows.append(
+                [f"{group}/{stem}", card.get("preset", ""), seen, str(games), minutes, where, f"`{card.get('sha256', '')[:12]}`"]
+            )
+    head = ["weights", "preset", "seen", "games to train", "minutes, start included", "on", "sha256"]
     return ["## Training", "", *markdown(head, rows)]
+
+
+def _stamp(found: Findings, group: str, stem: str) -> Json:
+    """Return the stamp of the stage that trained some weights; empty where they were given."""
+    return found.stamps.get(f"train-{group}-{stem}", {})
 
 
 def _commands(found: Findings) -> list[str]:
     rows = [
         [name, f"`{stamp['command']}`", f"{stamp['seconds']:.0f}", f"`{_short(stamp['provenance'].get('commit', ''))}`"]
-        for name, stamp in found.stamps.items()
+        for name, stamp in sorted(found.stamps.items(), key=lambda item: item[1]["began"])
         if name != "page"
     ]
     return ["## Every command", "", "Run in the repository's root.", "", *markdown(["stage", "command", "s", "commit"], rows)]

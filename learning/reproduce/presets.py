@@ -23,16 +23,22 @@ class Kind:
         layout: of the arena.
         steps: T, the longest game.
         games: to train, validate and test on.
+        label: tells two kinds apart that differ in size alone.
     """
 
     seeker: str
     layout: str
     steps: int
     games: tuple[int, int, int]
+    label: str = ""
 
     @property
     def name(self) -> str:
-        return f"{self.seeker}-{self.layout}-{self.steps}"
+        return "-".join([self.seeker, self.layout, str(self.steps), *([self.label] if self.label else [])])
+
+    def as_played(self, other: Kind) -> bool:
+        """Whether the games are of the same kind, however many: then the same seeds are test games in both."""
+        return (self.seeker, self.layout, self.steps) == (other.seeker, other.layout, other.steps)
 
 
 @dataclass(frozen=True)
@@ -47,7 +53,8 @@ class Group:
         vpn: images and epochs of each VPN; None = as its preset has it.
         batch: samples a step; None = as the preset has it.
         drop: factor of the learning rate at each drop; None = as the preset has it.
-        kind: name of the kind of data; empty = the main one.
+        kind: of the data it learns from; None = the main one. Judged on the main one, too, where that is played alike.
+        plain: without the losses of the caught head and of the judge, which the other compared networks cannot have.
         maps: judge its value maps, too.
         vpn_on_true: ablation: also a VPN that learns from true views, judged on predictions.
     """
@@ -59,7 +66,8 @@ class Group:
     vpn: tuple[int, int] | None = None
     batch: int | None = None
     drop: float | None = None
-    kind: str = ""
+    kind: Kind | None = None
+    plain: bool = False
     maps: bool = False
     vpn_on_true: bool = False
 
@@ -93,6 +101,7 @@ class Preset:
 
 _PAPER_GAMES = (4500, 500, 500)
 _MAIN = Kind("glancing", "random", 200, _PAPER_GAMES)
+_LARGE = Kind("glancing", "random", 200, (18_000, 500, 500), "large")
 
 
 def _rates(samples: int, model: Model, batch: int | None = None) -> tuple[Group, ...]:
@@ -115,7 +124,8 @@ PRESETS: dict[str, Preset] = {
         main=_MAIN,
         others=(),
         groups=(
-            Group("compared", COMPARED, "compact", 40_000, vpn=(20_000, 3), maps=True, vpn_on_true=True),
+            Group("compared", COMPARED, "compact", 32_000, vpn=(16_000, 3), plain=True, maps=True, vpn_on_true=True),
+            Group("with-head", ("vpt-tob",), "compact", 32_000, vpn=(16_000, 3)),
             *_rates(16_000, "hazard", batch=32),
         ),
         examples=(1_000, 4_000),
@@ -124,13 +134,13 @@ PRESETS: dict[str, Preset] = {
         starts=20,
         map_horizons=(200, 250, 300, 350),
     ),
-    # Some two hours, of which the longer training is 70 minutes on one core (which may be taken over from elsewhere).
+    # Some two and a half hours, of which the longer training is 70 minutes of one core (weights may be given from elsewhere).
     "hours": Preset(
         main=_MAIN,
         others=_other_kinds((300, 50, 300))[:3],
         groups=(
-            Group("compared", COMPARED, "compact", 150_000, vpn=(60_000, 3), maps=True, vpn_on_true=True),
-            Group("longer", ("vpt-tob", "hazard"), "compact", 800_000, maps=True),
+            Group("compared", COMPARED, "compact", 120_000, vpn=(60_000, 3), plain=True, maps=True, vpn_on_true=True),
+            Group("longer", ("vpt-tob", "hazard"), "compact", 800_000, kind=_LARGE, maps=True),
             Group("paper-network", ("vpt-tob", "whole-image"), "paper", 50_000, batch=32),
             *_rates(30_000, "hazard", batch=32),
         ),
@@ -140,14 +150,14 @@ PRESETS: dict[str, Preset] = {
         starts=50,
         map_horizons=(200, 250, 300, 350),
     ),
-    # The paper's scale: a sitting on a GPU, a night and a day on two cores.
+    # The paper's scale: a sitting on a GPU, days on two cores.
     "paper": Preset(
         main=_MAIN,
         others=_other_kinds(_PAPER_GAMES),
         groups=(
             Group("compared", (*COMPARED, "whole-image"), "paper", 5_000_000, maps=True, vpn_on_true=True),
             Group("compact", ("vpt-tob", "hazard"), "compact", 5_000_000, maps=True),
-            *(Group(kind.name, ("vpt-tob", "hazard"), "paper", 5_000_000, kind=kind.name) for kind in _other_kinds(_PAPER_GAMES)),
+            *(Group(kind.name, ("vpt-tob", "hazard"), "paper", 5_000_000, kind=kind) for kind in _other_kinds(_PAPER_GAMES)),
             *_rates(1_000_000, "vpt-tob"),
         ),
         examples=(1_000, 10_000),

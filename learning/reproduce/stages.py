@@ -5,7 +5,8 @@ In arguments and products `@` stands for the reproduction's folder, so that a st
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from learning.provenance import hardware
@@ -72,27 +73,54 @@ SPEED: dict[str, float] = {"paper": 110.0, "whole-image": 100.0, "compact": 145.
 """Samples a second that a view network learns from, on one core, not compiled (longer trainings are)."""
 
 
-def stages_of(name: str, preset: Preset, machine: Machine) -> list[Stage]:
-    """Return every stage of a preset, called `name`; each comes after those it needs."""
-    stages = [_gather(kind, preset.seed) for kind in (preset.main, *preset.others)]
-    for group in preset.groups:
-        stages += _trainings(group, preset, machine)
-    trained = {
-        group.name: [stage for stage in stages if stage.name.startswith(f"train {group.name}/")] for group in preset.groups
+def stages_of(name: str, preset: Preset, machine: Machine, given: Sequence[Path] = ()) -> list[Stage]:
+    """Return every stage of a preset, called `name`; each comes after those it needs.
+
+    Args:
+        given: weights that lie in the reproduction's folder already and are not trained: GROUP/STEM.safetensors.
+    """
+    made = {group.name: _trainings(group, preset, machine) for group in preset.groups}
+    gifts = {f"train {path.parent.name}/{path.stem}": path for path in given}
+    made = {group: [_without(stage, gifts) for stage in stages if stage.name not in gifts] for group, stages in made.items()}
+    trainings = [stage for stages in made.values() for stage in stages]
+    needed = {need for stage in trainings for need in stage.needs}
+    kinds = dict.fromkeys((preset.main, *preset.others, *(group.kind for group in preset.groups if group.kind)))
+    gathers = [_gather(kind, preset.seed) for kind in kinds]
+    judged_on = {f"gather {kind.name}" for kind in (preset.main, *preset.others)}
+    stages = [stage for stage in gathers if stage.name in needed | judged_on] + trainings
+    inputs = {
+        group.name: Inputs(
+            tuple(stage.name for stage in made[group.name]),
+            tuple(path for path in given if path.parent.name == group.name),
+        )
+        for group in preset.groups
     }
-    stages += _evaluations(preset, trained)
+    stages += _evaluations(preset, inputs)
     judged = tuple(stage.name for stage in stages if stage.name.startswith("evaluate"))
     first = preset.groups[0].name
     drawn = ("figures", "--data", f"@/data/{preset.main.name}/dataset", "--weights", f"@/weights/{first}")
-    needs = (f"gather {preset.main.name}", *(stage.name for stage in trained[first]), *judged)
-    stages.append(
-        Stage("figures", (*drawn, "--results", "@/results", "--to", "@/figures"), ("@/figures/figures.json",), needs, expected=60)
-    )
+    needs = (f"gather {preset.main.name}", *inputs[first].trained, *judged)
+    figures = (*drawn, "--results", "@/results", "--to", "@/figures")
+    stages.append(Stage("figures", figures, ("@/figures/figures.json",), needs, reads=inputs[first].given, expected=60))
     everything = tuple(stage.name for stage in stages)
     experiments = tuple(sorted(EXPERIMENTS.glob("*.json")))
     page = ("reproduce", "page", "--of", "@", "--preset", name)
     stages.append(Stage("page", page, ("@/results.md",), everything, reads=experiments, expected=2))
     return stages
+
+
+@dataclass(frozen=True)
+class Inputs:
+    """Where a group's weights come from: stages that train them, files that were given."""
+
+    trained: tuple[str, ...]
+    given: tuple[Path, ...]
+
+
+def _without(stage: Stage, gifts: dict[str, Path]) -> Stage:
+    """Return a training whose predictor's weights were given as one that reads these, not as one that needs their training."""
+    needs = tuple(need for need in stage.needs if need not in gifts)
+    return replace(stage, needs=needs, reads=tuple(gifts[need] for need in stage.needs if need in gifts))
 
 
 def _gather(kind: Kind, seed: int) -> Stage:
@@ -112,7 +140,7 @@ def _gather(kind: Kind, seed: int) -> Stage:
 
 def _trainings(group: Group, preset: Preset, machine: Machine) -> list[Stage]:
     stages = []
-    kind = group.kind or preset.main.name
+    kind = (group.kind or preset.main).name
     data, weights = f"@/data/{kind}/dataset", f"@/weights/{group.name}"
     for model in group.models:
         name, path = f"train {group.name}/{model}", f"{weights}/{model}.safetensors"
@@ -120,7 +148,8 @@ def _trainings(group: Group, preset: Preset, machine: Machine) -> list[Stage]:
         workspace = f"@/runs/{group.name}/{model}"
         drop = () if group.drop is None else ("--drop", f"{group.drop:g}")
         batch = () if group.batch is None else ("--batch", str(group.batch))
-        size = ("--samples", str(group.samples), *batch, *drop)
+        plain = ("--head-weight", "0", "--judge-weight", "0") if group.plain and model in VIEW_MODELS else ()
+        size = ("--samples", str(group.samples), *batch, *drop, *plain)
         common = ("--data", data, *size, "--to", path, "--workspace", workspace)
         speed = SPEED[group.networks] * (1 if model in VIEW_MODELS else 2.5) * (1.3 if group.samples >= 100_000 else 1)
         stages.append(
@@ -178,11 +207,11 @@ def _vpn(group: Group, model: Model, kind: str, machine: Machine, on_true: bool 
 
 def methods_of(group: Group) -> tuple[str, ...]:
     """Return the methods that a group's weights serve: its models, and the caught head where VPT-TOB has one."""
-    head = ("caught-head",) if group.networks == "compact" and "vpt-tob" in group.models else ()
+    head = ("caught-head",) if group.networks == "compact" and not group.plain and "vpt-tob" in group.models else ()
     return (*group.models, *head)
 
 
-def _evaluations(preset: Preset, trained: dict[str, list[Stage]]) -> list[Stage]:
+def _evaluations(preset: Preset, inputs: dict[str, Inputs]) -> list[Stage]:
     first, main = preset.groups[0], preset.main
 
     def accuracy(name: str, group: Group, kind: Kind, examples: tuple[int, ...], horizons: tuple[int, ...], oracle: int) -> Stage:
@@ -195,24 +224,24 @@ def _evaluations(preset: Preset, trained: dict[str, list[Stage]]) -> list[Stage]
             f"evaluate {name}",
             ("evaluate", *asked, *size, *more, "--to", f"@/results/{name}"),
             (f"@/results/{name}.json", f"@/results/{name}.md"),
-            (f"gather {kind.name}", *(stage.name for stage in trained[group.name])),
+            (f"gather {kind.name}", *inputs[group.name].trained),
+            reads=inputs[group.name].given,
             expected=20 + cost,
         )
 
-    kinds = {kind.name: kind for kind in (main, *preset.others)}
     stages = [accuracy("accuracy", first, main, preset.examples, preset.horizons, preset.oracle)]
     stages += [
         accuracy(f"accuracy-{kind.name}", first, kind, preset.examples[:1], (kind.steps,), preset.oracle)
         for kind in preset.others
     ]
     for group in preset.groups[1:]:
-        kind = kinds[group.kind or main.name]
+        kind = main if group.kind is None or group.kind.as_played(main) else group.kind
         horizons = preset.horizons if kind is main else (kind.steps,)
         stages.append(accuracy(f"accuracy-of-{group.name}", group, kind, preset.examples, horizons, 0))
-    return stages + [_maps(group, preset, trained[group.name]) for group in preset.groups if group.maps]
+    return stages + [_maps(group, preset, inputs[group.name]) for group in preset.groups if group.maps]
 
 
-def _maps(group: Group, preset: Preset, trained: list[Stage]) -> Stage:
+def _maps(group: Group, preset: Preset, inputs: Inputs) -> Stage:
     name = "maps" if group is preset.groups[0] else f"maps-of-{group.name}"
     asked = ("--weights", f"@/weights/{group.name}", "--methods", *methods_of(group), "--starts", str(preset.starts))
     where = ("--seeker", preset.main.seeker, "--layout", preset.main.layout, "--seed", "1000000")
@@ -221,6 +250,7 @@ def _maps(group: Group, preset: Preset, trained: list[Stage]) -> Stage:
         f"evaluate {name}",
         ("evaluate", "maps", *asked, "--horizons", *map(str, preset.map_horizons), *where, "--to", f"@/results/{name}"),
         (f"@/results/{name}.json", f"@/results/{name}.md", f"@/results/{name}.npz"),
-        tuple(stage.name for stage in trained),
+        inputs.trained,
+        reads=inputs.given,
         expected=20 + preset.starts * (3 + 2 * views),
     )

@@ -78,10 +78,14 @@ class Stamps:
         return [path for product in stage.products if not (path := self.path_of(product)).is_file()]
 
     def begin(self, stage: Stage, key: str) -> None:
-        """Note that the stage begins. Half-done work of other arguments or inputs is thrown away, of the same goes on."""
+        """Note that the stage begins. Half-done work of other arguments or inputs is thrown away; of the same, it goes on.
+
+        What lies there and was not begun here is left alone: a command itself refuses what it cannot go on with.
+        """
+        begun, stamp = self._file(stage, "begun"), self.read(stage)
+        earlier = begun.read_text() if begun.is_file() else stamp.key if stamp else key
         self._file(stage, "json").unlink(missing_ok=True)
-        begun = self._file(stage, "begun")
-        if not begun.is_file() or begun.read_text() != key:
+        if earlier != key:
             for place in stage.scratch:
                 shutil.rmtree(self.path_of(place), ignore_errors=True)
             for product in stage.products:

@@ -69,13 +69,15 @@ class Findings:
         return {path.stem.removeprefix(prefix): read(path) for path in paths}
 
     def largest(self, method: str, reports: dict[str, Json], first: Json) -> tuple[str, Json] | None:
-        """Return group ("" = the compared) and report of the network of a method that saw most samples of the main data."""
+        """Return group ("" = the compared) and report of the network of a method that saw most samples of games like the main
+        ones."""
         seen = {}
         for group, report in {"": first, **reports}.items():
             if not report or method not in report.get("methods", report.get("weights", {})):
                 continue
             card = self.cards.get(group or self.compared, {}).get(method, {})
-            if card.get("data", {}).get("hash") == self.accuracy["data"]["hash"]:
+            learnt, judged = card.get("data", {}), self.accuracy["data"]
+            if all(sorted(learnt.get(key, ())) == sorted(judged[key]) for key in ("seekers", "layouts", "horizons")):
                 seen[group] = card.get("training", {}).get("samples") or 0
         if not seen:
             return None
@@ -153,12 +155,11 @@ def ordering(report: Json) -> list[str]:
         return []
 
     def said(values: dict[str, float]) -> str:
-        return " > ".join(
-            f"{title_of(name)} ({percent(values[name])})" for name in sorted(values, key=lambda name: -values[name])
-        )
+        named = [f"{title_of(name)} ({percent(values[name], 2)})" for name in sorted(values, key=lambda name: -values[name])]
+        return ", ".join(named)
 
-    lines = [f"* The paper's order: {said(papers)}. (It has one coordinate-value baseline; ours has two variants.)"]
-    lines.append(f"* Ours: {said(ours)}.")
+    lines = [f"* The paper's order, best first: {said(papers)}. (It has one coordinate-value baseline; ours has two variants.)"]
+    lines.append(f"* Ours, best first: {said(ours)}.")
     turned = [
         (first, second)
         for first, second in combinations(ours, 2)

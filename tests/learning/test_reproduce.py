@@ -19,11 +19,11 @@ import tyro
 from learning import recipe, train_caught
 from learning.reproduce import tables
 from learning.reproduce.command import lines_of, publish
-from learning.reproduce.page import Target, target_table, wall
 from learning.reproduce.presets import PRESETS, Preset
 from learning.reproduce.runner import Progress, Runner
 from learning.reproduce.stages import Machine, Stage, stages_of
 from learning.reproduce.stamps import Stamps
+from learning.reproduce.targets import Target, target_table, wall
 from vantage import cli
 from vantage.networks.vpt_tob import VptTobSettings
 
@@ -141,6 +141,41 @@ def test_half_done_work_is_kept_for_the_same_command_only(tmp_path: Path) -> Non
     assert (tmp_path / "runs/checkpoint").exists()
     shop.run([make("A", "other", scratch=("@/runs",))])
     assert not (tmp_path / "runs").exists()
+
+
+def test_what_was_not_begun_here_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "runs").mkdir()
+    (tmp_path / "runs/checkpoint").write_text("somebody's")
+    Workshop(tmp_path).run([make("A", "a", scratch=("@/runs",))])
+    assert (tmp_path / "runs/checkpoint").exists()
+
+
+def test_given_weights_are_not_trained_and_their_change_is_noticed(tmp_path: Path) -> None:
+    from learning.reproduce.command import Refusal, ReproduceSettings, given_weights
+
+    source = tmp_path / "elsewhere"
+    source.mkdir()
+    for ending in ("safetensors", "json", "md"):
+        (source / f"vpt-tob.{ending}").write_text("trained")
+    settings = ReproduceSettings(preset="hours", given=(f"longer={source}",))
+    given = given_weights(settings, tmp_path / "here")
+    assert [path.relative_to(tmp_path).as_posix() for path in given] == ["here/weights/longer/vpt-tob.safetensors"]
+    all_stages = {stage.name: stage for stage in stages_of("hours", PRESETS["hours"], Machine(2, False))}
+    stages = {stage.name: stage for stage in stages_of("hours", PRESETS["hours"], Machine(2, False), given)}
+    assert all_stages.keys() - stages.keys() == {"train longer/vpt-tob"}
+    for name in ("train longer/vpn", "evaluate accuracy-of-longer", "evaluate maps-of-longer"):
+        assert stages[name].reads == tuple(given) and "train longer/vpt-tob" not in stages[name].needs
+    for stem in ("vpn", "hazard"):
+        (source / f"{stem}.safetensors").write_text("trained")
+        for ending in ("json", "md"):
+            (source / f"{stem}.{ending}").write_text("")
+    stages = {
+        s.name: s for s in stages_of("hours", PRESETS["hours"], Machine(2, False), given_weights(settings, tmp_path / "here"))
+    }
+    assert "gather glancing-random-200-large" not in stages, "nothing learns from it any more"
+    for wrong in ("nobody=weights", f"longer={tmp_path}"):
+        with pytest.raises(Refusal):
+            given_weights(replace(settings, given=(wrong,)), tmp_path / "here")
 
 
 def test_products_of_the_very_same_commands_are_taken_over(tmp_path: Path) -> None:
@@ -314,8 +349,8 @@ def test_from_nothing_to_the_page(tiny: Preset, tmp_path: Path) -> None:
 
 def test_targets_are_said_to_be_met_only_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     rows = [Target("one", "89.0 %", True), Target("two", "50.0 %", False)]
-    monkeypatch.setattr("learning.reproduce.page.targets", lambda found: rows)
-    text = "\n".join(target_table(None))  # type: ignore[arg-type]
+    monkeypatch.setattr("learning.reproduce.targets.targets", lambda found, preset: rows)
+    text = "\n".join(target_table(None, "quick"))  # type: ignore[arg-type]
     assert "1 of 2 met" in text
     assert "| one | 89.0 % | met |" in text and "| two | 50.0 % | **not met** |" in text
 
