@@ -1,0 +1,149 @@
+"""Figures: which games are shown, who is which colour, how large they are on disk, what charts say of their numbers."""
+
+import io
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from PIL import Image
+
+from learning.dataset import Dataset
+from learning.figures import charts, games, maps
+from learning.figures.command import CAPTIONS
+from learning.figures.style import MAXIMUM_BYTES, METHODS, TITLES, new_figure, of_the_seeker, save
+from learning.methods.table import METHODS as METHOD_TABLE
+from learning.reproduce.tables import table_two
+from learning.value_maps.play import BEST, OUTCOMES, UNIFORM
+from learning.value_maps.report import ANOTHER, ONE_SIMULATION
+from tests.learning.made_weights import play_dataset
+from vantage.perception.palette import OTHER, OWN, PALETTE
+from vantage.world.layout import make_layout
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
+    return play_dataset(tmp_path_factory.mktemp("figures"), steps=40)
+
+
+def test_every_method_has_a_colour_and_a_name_of_its_own() -> None:
+    compared = set(METHOD_TABLE) - {"vpn-on-true"}
+    assert set(METHODS) == set(TITLES) == compared
+    assert len(set(METHODS.values())) == len(set(TITLES.values())) == len(compared)
+
+
+def test_in_the_seekers_view_the_hider_is_green_and_the_seeker_red() -> None:
+    seen = of_the_seeker(PALETTE[np.array([OWN, OTHER])])
+    assert seen.tolist() == [[255, 0, 0], [0, 255, 0]]  # the seeker's own disc, the hider's
+    others = PALETTE[np.arange(3)]
+    assert (of_the_seeker(others) == others).all()
+
+
+def test_a_figure_is_small_on_disk_whatever_it_shows(tmp_path: Path) -> None:
+    noise = np.random.default_rng(0).integers(0, 256, (380, 380, 3), dtype=np.uint8)
+    figure = new_figure(4.0, "noise", width=4.0)
+    games.show_image(figure.add_axes((0, 0, 1, 1)), noise)
+    raw = io.BytesIO()
+    figure.savefig(raw, format="png")
+    assert raw.tell() > MAXIMUM_BYTES
+    save(figure, tmp_path / "noise.png")
+    assert (tmp_path / "noise.png").stat().st_size <= MAXIMUM_BYTES
+    assert Image.open(tmp_path / "noise.png").size == (400, 400)
+
+
+def test_shown_games_are_test_games_with_their_own_boxes_and_poses(dataset: Dataset) -> None:
+    shown = games.chosen_games(dataset)
+    test = set(dataset.of_split("test").tolist())
+    assert 1 <= len(shown) <= 2 and {game.row for game in shown} <= test
+    for game in shown:
+        episode = dataset.episodes[game.row]
+        assert game.boxes == make_layout("random", int(episode["seed"]))
+        first = dataset.steps[episode["first_step"]]
+        assert game.poses[0, 0].tolist() == list(first["hider"].item()) and game.poses[1, 0].tolist() == list(
+            first["seeker"].item()
+        )
+        assert (game.caught is None) == (episode["caught_step"] < 0)
+        if game.caught is not None:
+            assert game.poses.shape[1] == game.caught + 1 and game.at(10**6) == game.caught
+
+
+def test_the_true_views_are_those_of_the_training_set(dataset: Dataset) -> None:
+    game = games.chosen_games(dataset)[0]
+    steps = games.every_interval(game)
+    assert steps.tolist() == [19, 39]
+    rendered = dataset.render(games.samples_of(game, steps))
+    np.testing.assert_array_equal(games.seeker_views(dataset, game, steps), of_the_seeker(rendered.targets))
+    np.testing.assert_array_equal(games.samples_of(game, steps).caught, dataset.caught(rendered.samples.episode, steps))
+
+
+def test_training_pairs_are_drawn(dataset: Dataset) -> None:
+    assert len(games.training_pairs(dataset).axes) == 12
+
+
+def found(value: float, **more: object) -> dict[str, object]:
+    return {"mean": value, "sd": 0.1, "interval 95 %": [value - 0.05, value + 0.05], "starts": 3, **more}
+
+
+def ranking_report() -> dict[str, object]:
+    measures = {"with_ties": 0.7, "without_ties": 0.8, "ties_half": 0.8, "tau_b": 0.5}
+    names = ("vpt-tob, binary", "vpt-tob, expected", "far from the seeker", ANOTHER)
+
+    def at(shift: float) -> dict[str, object]:
+        change = {"change since the first horizon": found(shift)} if shift else {}
+        return {ONE_SIMULATION: {n: {m: found(v + shift, **change) for m, v in measures.items()} for n in names}}
+
+    fared = {name: {outcome: found(20.0) for outcome in OUTCOMES} for name in (*names, UNIFORM, BEST)}
+    return {
+        "horizons": [200, 350],
+        "starts": [1, 2, 3],
+        "simulations": 20,
+        "ranking": {"200": at(0.0), "350": at(-0.02)},
+        "play": {"200": fared, "350": fared},
+    }
+
+
+def texts(figure: Figure) -> str:
+    inside = [text.get_text() for axes in figure.axes for text in (*axes.get_yticklabels(), *axes.texts, axes.title)]
+    return "\n".join([*inside, *(text.get_text() for legend in figure.legends for text in legend.get_texts())])
+
+
+def test_table_two_stands_beside_the_papers() -> None:
+    report = ranking_report()
+    rows = table_two(report, "with_ties", with_paper=True)
+    assert any("75.29 ± 12.23" in row and "72.77 ± 10.82" in row and "-2.52" in row for row in rows)
+    assert any(
+        "VPT-TOB + VPN, expected" in row and "70.0" in row and "68.0" in row and "-2.0 [-7.0, +3.0]" in row for row in rows
+    )
+    figure = charts.table_two(report)
+    assert "the paper" in texts(figure) and "VPT-TOB + VPN" in texts(figure) and ANOTHER in texts(figure)
+    papers = [line for line in figure.axes[0].lines if line.get_color() == "black"]
+    assert [list(line.get_ydata()) for line in papers] == [[75.29, 72.77]]
+
+
+def test_the_chart_of_play_names_everybody_once() -> None:
+    said = texts(charts.play_chart(ranking_report()))
+    for name in ("VPT-TOB + VPN", "far from the seeker", ANOTHER, UNIFORM, "the best goal"):
+        assert said.splitlines().count(name) == 1, name
+    assert "binary" not in said
+
+
+def test_value_maps_show_safety_and_leave_blocked_goals_white() -> None:
+    truth = np.full((1, 1, 121), 5.0, np.float32)
+    truth[0, 0, 7] = np.nan
+    arrays = {
+        "seeds": np.array([3]),
+        "horizons": np.array([100]),
+        "truth_mean": truth,
+        "predictors": np.array(["vpt-tob, binary", "vpt-tob, expected"]),
+        "values": np.stack([truth, truth + 2]),
+        "chosen": np.array([[[4]], [[9]]]),
+        "poses": np.array([[[0.3, 0.3, 0], [0.8, 0.8, 18]]], float),
+    }
+    figure = maps.value_maps(arrays, "random", rows=4)
+    pictures = [image.get_array() for axes in figure.axes for image in axes.images if image.get_array().shape == (11, 11)]
+    assert [float(picture.max()) for picture in pictures] == [5.0, 3.0]  # 10 checkpoints less V: the truth, and `expected`
+    assert all(picture.mask.ravel().nonzero()[0].tolist() == [7] for picture in pictures)
+
+
+def test_every_caption_ends_as_a_sentence() -> None:
+    assert all(caption.endswith(".") and caption[0].isupper() for caption in CAPTIONS.values())
