@@ -17,10 +17,11 @@ from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
-from learning.reproduce.presets import PRESETS
+from learning.reproduce.presets import PRESETS, RELEASED
 from learning.reproduce.runner import Progress, Runner, minutes, tail
 from learning.reproduce.stages import Machine, stages_of
 
+WEIGHTS = Path(__file__).resolve().parents[2] / "weights"
 TOLD_EVERY = 60.0  # s between lines where the output is no terminal
 
 
@@ -98,14 +99,15 @@ class Refusal(ValueError):
 
 
 def given_weights(settings: ReproduceSettings, folder: Path) -> list[Path]:
-    """Copy what was given into the reproduction's weights, and return where it lies there.
+    """Copy what was given, and the released weights, into the reproduction's weights; return where it lies there.
 
     Raises:
         Refusal: a group or a file is not there.
     """
     groups = {group.name for group in PRESETS[settings.preset].groups}
     places = []
-    for gift in settings.given:
+    released = (f"{RELEASED.name}={WEIGHTS}",) if RELEASED.name in groups else ()
+    for gift in (*released, *settings.given):
         group, _, source = gift.partition("=")
         if group not in groups:
             raise Refusal(f"--given {gift}: the preset `{settings.preset}` has the groups {', '.join(sorted(groups))}")

@@ -49,7 +49,7 @@ class Group:
         name: of the folder, and of the row on the results page.
         models: which networks.
         networks: preset of networks and recipes.
-        samples: each network sees.
+        samples: each network sees; 0 = nothing is trained, the weights are given.
         vpn: images and epochs of each VPN; None = as its preset has it.
         batch: samples a step; None = as the preset has it.
         drop: factor of the learning rate at each drop; None = as the preset has it.
@@ -104,6 +104,10 @@ _MAIN = Kind("glancing", "random", 200, _PAPER_GAMES)
 _LARGE = Kind("glancing", "random", 200, (18_000, 500, 500), "large")
 
 
+RELEASED = Group("released", ("vpt-tob", "hazard"), "compact", 0, maps=True)
+"""The weights of this release, judged on the same examples and maps."""
+
+
 def _rates(samples: int, model: Model, batch: int | None = None) -> tuple[Group, ...]:
     """Return the ablation of the learning rate: "decrease the learning rate by 10 %" read as x0.9, x0.5 and x0.1."""
     return tuple(Group(f"drop-{drop:g}", (model,), "paper", samples, batch=batch, drop=drop) for drop in (0.9, 0.5, 0.1))
@@ -126,6 +130,7 @@ PRESETS: dict[str, Preset] = {
         groups=(
             Group("compared", COMPARED, "compact", 32_000, vpn=(16_000, 3), plain=True, maps=True, vpn_on_true=True),
             Group("with-head", ("vpt-tob",), "compact", 32_000, vpn=(16_000, 3)),
+            RELEASED,
             *_rates(16_000, "hazard", batch=32),
         ),
         examples=(1_000, 4_000),
@@ -142,6 +147,7 @@ PRESETS: dict[str, Preset] = {
             Group("compared", COMPARED, "compact", 120_000, vpn=(60_000, 3), plain=True, maps=True, vpn_on_true=True),
             Group("longer", ("vpt-tob", "hazard"), "compact", 800_000, kind=_LARGE, maps=True),
             Group("paper-network", ("vpt-tob", "whole-image"), "paper", 50_000, batch=32),
+            RELEASED,
             *_rates(30_000, "hazard", batch=32),
         ),
         examples=(1_000, 10_000),
@@ -157,6 +163,7 @@ PRESETS: dict[str, Preset] = {
         groups=(
             Group("compared", (*COMPARED, "whole-image"), "paper", 5_000_000, maps=True, vpn_on_true=True),
             Group("compact", ("vpt-tob", "hazard"), "compact", 5_000_000, maps=True),
+            RELEASED,
             *(Group(kind.name, ("vpt-tob", "hazard"), "paper", 5_000_000, kind=kind) for kind in _other_kinds(_PAPER_GAMES)),
             *_rates(1_000_000, "vpt-tob"),
         ),

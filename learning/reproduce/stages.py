@@ -139,7 +139,9 @@ def _gather(kind: Kind, seed: int) -> Stage:
 
 
 def _trainings(group: Group, preset: Preset, machine: Machine) -> list[Stage]:
-    stages = []
+    stages: list[Stage] = []
+    if not group.samples:
+        return stages
     kind = (group.kind or preset.main).name
     data, weights = f"@/data/{kind}/dataset", f"@/weights/{group.name}"
     for model in group.models:
