@@ -25,7 +25,7 @@ from learning.collect import main as collect
 from learning.convert import Sizes, TooFewGames, convert, messages_hash, warn_of_empty_splits
 from learning.splits import SPLITS, split_of
 from schemas import Rules
-from vantage.log import source_commit
+from vantage.log import open_log, source_commit
 from vantage.play import SeekerPreset
 
 SCHEMA_VERSION = 1
@@ -247,6 +247,7 @@ def main(settings: GatherSettings) -> int:
             **begun,
             "command": shlex.join(["vantage", "gather", *sys.argv[2:]]),
             "commit": source_commit(),
+            "commits of the logs": sorted({open_log(path).metadata.get("commit", "") for path in (*evader, *logs)}),
             "mixture": {hider: part.share for hider, part in MIXTURE.items()},
             "seeds": {name: {"first": made.seed, "games": made.episodes} for name, made in collections.items()},
             "by split": {hider: dict(zip(SPLITS, counts, strict=True)) for hider, counts in wanted.items()},
