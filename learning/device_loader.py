@@ -7,6 +7,8 @@ numbers, and no loop over its samples.
 
 from __future__ import annotations
 
+from typing import Literal
+
 import numpy as np
 import torch
 from numpy.typing import NDArray
@@ -30,6 +32,14 @@ _OUTSIDE = _SIZE + 8  # column and row of a position that is drawn nowhere
 def needed_bytes(dataset: Dataset) -> int:
     """Return how much device memory a training set takes; beside it, rendering takes about 2 MB for each sample of a batch."""
     return 2 * len(dataset.steps) * _BYTES + 12 * len(dataset.positions)
+
+
+Resident = Literal["auto", "on", "off"]
+
+
+def fits(dataset: Dataset, device: torch.device) -> bool:
+    """Return whether a training set takes less than half of a GPU's free memory; False where there is no GPU."""
+    return device.type == "cuda" and 2 * needed_bytes(dataset) < torch.cuda.mem_get_info(device)[0]
 
 
 class DeviceDataset:

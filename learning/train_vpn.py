@@ -48,7 +48,7 @@ class TrainVpnSettings:
     preset: Literal["paper", "compact"] = "paper"
     """`paper`: the paper's recipe. `compact`: a stream of fresh predictions, some minutes on a CPU core."""
     minutes: float | None = None
-    """Train for this long instead of on a number of images (a stream only)."""
+    """Train for this long instead of on a number of images."""
     images: int | None = None
     """Images to learn from, instead of the preset's number."""
     epochs: int | None = None

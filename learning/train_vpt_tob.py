@@ -16,7 +16,8 @@ import torch
 
 from learning.board import Board
 from learning.compiling import Compile, to_compile
-from learning.dataset import Batch, Dataset, prefetch
+from learning.dataset import Dataset, Samples, prefetch
+from learning.device_loader import DeviceDataset, Resident, fits, needed_bytes
 from learning.group import join_group
 from learning.panel import draw_panel
 from learning.recipe import PRESETS, Recipe, Schedule, notes_of, rate_factor
@@ -72,6 +73,8 @@ class TrainVptTobSettings:
     """Minutes between checkpoints."""
     threads: int = 0
     """CPU threads; 0 = all cores."""
+    resident: Resident = "auto"
+    """Keep the training set in the device's memory and render there; `auto`: on a GPU that has twice that memory free."""
     compile: Compile = "auto"
     """Compile the network (a third faster); `auto`: where a compiler is there and the training is long enough."""
     seed: int = 1
@@ -103,6 +106,9 @@ def main(settings: TrainVptTobSettings) -> int:
     size = sum(parameter.numel() for parameter in trainer.network.parameters())
     say(f"{model} `{settings.preset}`, {size:,} parameters, {group.size} x {group.device}, {trainer.precision}; {why}")
     say(f"{settings.data}: episodes {data.manifest['episodes']}, by hider {data.manifest['hiders']}")
+    resident = fits(data, group.device) if settings.resident == "auto" else settings.resident == "on"
+    if resident:
+        say(f"the training set goes to the memory of {group.device} ({needed_bytes(data) / 1e9:.1f} GB) and is rendered there")
 
     begun_with: dict[str, str] = {}
     if settings.start:
@@ -127,21 +133,24 @@ def main(settings: TrainVptTobSettings) -> int:
     board = Board(workspace, seen) if group.rank == 0 else None
 
     held = data.draw("validation", settings.validation, np.random.default_rng(0), recipe.from_start, symmetries=1)
-
     vectors = model == "vector-action"
 
-    def rendered() -> Iterator[Batch]:
+    def drawn() -> Iterator[Samples]:
         number = seen // recipe.batch + group.rank
         while True:  # a batch depends on its number alone, so that a resumed run goes on as if never stopped
             generator = np.random.default_rng([settings.seed, number])
-            drawn = data.draw("train", recipe.batch, generator, recipe.from_start, symmetries=recipe.symmetries)
-            yield data.render(drawn, target, vectors)
+            yield data.draw("train", recipe.batch, generator, recipe.from_start, symmetries=recipe.symmetries)
             number += group.size
 
     def batches() -> Iterator[Tensors]:
         """Whatever is learnt from comes from here, on the device."""
-        for batch in prefetch(rendered):
-            yield tensors_of(batch, group.device)
+        if resident:
+            there = DeviceDataset(data, group.device)
+            for samples in drawn():
+                yield there.render(samples, target, vectors)
+        else:
+            for batch in prefetch(lambda: (data.render(samples, target, vectors) for samples in drawn())):
+                yield tensors_of(batch, group.device)
 
     def progress() -> float:
         return group.from_first(trained / (60 * settings.minutes) if settings.minutes else seen / recipe.samples)

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from torch import Tensor, nn
+from torch._dynamo.exc import TorchDynamoException
 from torch.nn import functional
 
 from learning.dataset import Batch, Target
@@ -85,8 +86,15 @@ class Trainer:
         """One step of the optimiser; returns the loss."""
         for group in self.optimizer.param_groups:
             group["lr"] = self.recipe.rate * factor
-        loss, _ = self.forward_in_training(batch)
-        loss.backward()
+        try:
+            loss, _ = self.forward_in_training(batch)
+            loss.backward()
+        except TorchDynamoException as error:
+            print(f"going on without compiling, it failed: {str(error).strip().splitlines()[0]}", flush=True)
+            self.forward_in_training = self.forward
+            self.optimizer.zero_grad(set_to_none=True)
+            loss, _ = self.forward(batch)
+            loss.backward()
         self.group.average(self.parameters)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)

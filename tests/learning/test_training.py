@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from torch._dynamo.exc import TorchDynamoException
 
 from learning import evaluate, train_vpn, train_vpt_tob
 from learning.collect import CollectSettings, play_block
@@ -82,6 +83,18 @@ def test_it_learns_one_batch_by_heart(dataset: Dataset, model: Model, recipe: Re
     losses = [float(trainer.learn(batch, 3.0)) for _ in range(20)]
     assert losses[-1] < 0.6 * losses[0]
     assert trainer.network.architecture == model
+
+
+def test_where_compiling_fails_training_goes_on_without(dataset: Dataset, capsys: pytest.CaptureFixture[str]) -> None:
+    trainer, plain = (Trainer("vpt-tob", PLAIN, ALONE, compiled=False, seed=0) for _ in range(2))
+
+    def failing(batch: Tensors) -> object:
+        raise TorchDynamoException("no such compiler\nand many lines more")
+
+    trainer.forward_in_training = failing  # type: ignore[assignment]
+    losses = [[float(one.learn(rendered(dataset, number), 1.0)) for number in range(2)] for one in (trainer, plain)]
+    assert losses[0] == losses[1]
+    assert capsys.readouterr().out == "going on without compiling, it failed: no such compiler\n"
 
 
 def test_a_restored_trainer_goes_on_as_if_never_stopped(dataset: Dataset) -> None:
@@ -217,6 +230,11 @@ def test_from_training_to_answers_and_results(
     assert "going on after 96 samples" in capsys.readouterr().out
     assert train_vpt_tob.main(replace(settings, disc_weight=2.0)) == 1  # not the same training
     assert "another recipe" in capsys.readouterr().out
+
+    there = replace(settings, resident="on", to=tmp_path / "there.safetensors", workspace=tmp_path / "there")
+    assert train_vpt_tob.main(there) == 0  # rendered in the device's memory: the same training
+    assert read_card(there.to).metrics["loss"] == pytest.approx(card.metrics["loss"], rel=1e-5)
+    assert "rendered there" in capsys.readouterr().out
 
     again = replace(settings, start=settings.to, to=tmp_path / "more.safetensors", workspace=tmp_path / "more", samples=8)
     first_loss = read_card(settings.to).metrics["loss"]
