@@ -46,7 +46,9 @@ def value_maps(found: Arrays, layout: str, rows: int = 4, horizon: int = 0) -> F
     columns = 1 + len(methods)
     side = min((14.4 - 1.2) / columns, 3.0)
     height = rows * (side + 0.32) + 1.75
-    figure = new_figure(height, f"Value maps of the first {rows} starts, T = {steps} steps", caption, width=columns * side + 1.3)
+    figure = new_figure(
+        height, f"Value maps of the first {rows} starts, T = {steps} steps", caption, width=max(columns * side + 1.3, 10.0)
+    )
     grid = figure.add_gridspec(
         rows,
         columns,

@@ -82,8 +82,9 @@ class Preset:
         groups: the first one is Table I.
         examples: unseen examples for each horizon: the paper's number and one for a tight interval.
         horizons: T of the examples.
-        oracle: simulations for each example, from the true state.
+        oracle: simulations from the true state for each of how many examples.
         starts: arenas whose value maps are judged.
+        simulations: of every goal of a start, beside that with the episode's own seed.
         map_horizons: T of the value maps.
         seed: of the first game; everything else is seeded by its own options' defaults.
     """
@@ -93,8 +94,9 @@ class Preset:
     groups: tuple[Group, ...]
     examples: tuple[int, ...]
     horizons: tuple[int, ...]
-    oracle: int
+    oracle: tuple[int, int]
     starts: int
+    simulations: int
     map_horizons: tuple[int, ...]
     seed: int = 1
 
@@ -135,8 +137,9 @@ PRESETS: dict[str, Preset] = {
         ),
         examples=(1_000, 4_000),
         horizons=(100, 200),
-        oracle=20,
-        starts=20,
+        oracle=(20, 300),
+        starts=16,
+        simulations=6,
         map_horizons=(200, 250, 300, 350),
     ),
     # Some two and a half hours, of which the longer training is 70 minutes of one core (weights may be given from elsewhere).
@@ -152,8 +155,9 @@ PRESETS: dict[str, Preset] = {
         ),
         examples=(1_000, 10_000),
         horizons=(100, 200),
-        oracle=50,
+        oracle=(50, 1_000),
         starts=50,
+        simulations=20,
         map_horizons=(200, 250, 300, 350),
     ),
     # The paper's scale: a sitting on a GPU, days on two cores.
@@ -169,8 +173,9 @@ PRESETS: dict[str, Preset] = {
         ),
         examples=(1_000, 10_000),
         horizons=(100, 200),
-        oracle=50,
+        oracle=(50, 1_000),
         starts=50,
+        simulations=20,
         map_horizons=(200, 250, 300, 350),
     ),
     # Seconds: the tests'.
@@ -183,8 +188,9 @@ PRESETS: dict[str, Preset] = {
         ),
         examples=(40,),
         horizons=(20, 40),
-        oracle=3,
+        oracle=(3, 20),
         starts=2,
+        simulations=2,
         map_horizons=(40, 60),
     ),
 }

@@ -105,7 +105,7 @@ def stages_of(name: str, preset: Preset, machine: Machine, given: Sequence[Path]
     everything = tuple(stage.name for stage in stages)
     experiments = tuple(sorted(EXPERIMENTS.glob("*.json")))
     page = ("reproduce", "page", "--of", "@", "--preset", name)
-    stages.append(Stage("page", page, ("@/results.md",), everything, reads=experiments, expected=2))
+    stages.append(Stage("page", page, ("@/results.md",), everything, reads=(*experiments, *given), expected=2))
     return stages
 
 
@@ -191,6 +191,7 @@ def _vpn(group: Group, model: Model, kind: str, machine: Machine, on_true: bool 
     data, weights = f"@/data/{kind}/dataset", f"@/weights/{group.name}"
     gathered, views = f"gather {kind}", f"train {group.name}/{model}"
     stem = "vpn-on-true" if on_true else vpn_stem(model)
+    workspace = f"@/runs/{group.name}/{stem}"
     size = () if group.vpn is None else ("--images", str(group.vpn[0]), "--epochs", str(group.vpn[1]))
     images, epochs = group.vpn or ((200_000, 2) if group.networks == "compact" else (2_000, 100))
     preset = "compact" if group.networks == "compact" else "paper"
@@ -198,10 +199,11 @@ def _vpn(group: Group, model: Model, kind: str, machine: Machine, on_true: bool 
     what = ("--views", f"{weights}/{model}.safetensors", "--data", data, "--preset", preset, *size, *true)
     return Stage(
         f"train {group.name}/{stem}",
-        ("train", "vpn", *what, "--to", f"{weights}/{stem}.safetensors"),
+        ("train", "vpn", *what, "--to", f"{weights}/{stem}.safetensors", "--workspace", workspace),
         (f"{weights}/{stem}.safetensors", f"{weights}/{stem}.json", f"{weights}/{stem}.md"),
         (gathered, views),
         aside=machine.training,
+        scratch=(workspace,),
         alone=machine.gpu,
         expected=25 + images / 500 + images * epochs / 2500,
     )
@@ -216,15 +218,23 @@ def methods_of(group: Group) -> tuple[str, ...]:
 def _evaluations(preset: Preset, inputs: dict[str, Inputs]) -> list[Stage]:
     first, main = preset.groups[0], preset.main
 
-    def accuracy(name: str, group: Group, kind: Kind, examples: tuple[int, ...], horizons: tuple[int, ...], oracle: int) -> Stage:
+    def accuracy(
+        name: str,
+        group: Group,
+        kind: Kind,
+        examples: tuple[int, ...],
+        horizons: tuple[int, ...],
+        oracle: tuple[int, int] = (0, 0),
+    ) -> Stage:
         folder = f"@/data/{kind.name}/dataset"
         asked = ("--data", folder, "--weights", f"@/weights/{group.name}", "--methods", *methods_of(group))
         more = ("--ablations",) if group.vpn_on_true else ()
-        size = ("--samples", *map(str, examples), "--horizons", *map(str, horizons), "--oracle", str(oracle))
-        cost = 2 * max(examples) * len(horizons) * 0.0005 * len(methods_of(group)) + 0.0008 * oracle * min(1000, max(examples))
+        size = ("--samples", *map(str, examples), "--horizons", *map(str, horizons))
+        ceiling = ("--oracle", str(oracle[0]), "--oracle-samples", str(oracle[1])) if oracle[0] else ()
+        cost = len(horizons) * (max(examples) * 0.001 * len(methods_of(group)) + oracle[0] * oracle[1] * 0.0016)
         return Stage(
             f"evaluate {name}",
-            ("evaluate", *asked, *size, *more, "--to", f"@/results/{name}"),
+            ("evaluate", *asked, *size, *ceiling, *more, "--to", f"@/results/{name}"),
             (f"@/results/{name}.json", f"@/results/{name}.md"),
             (f"gather {kind.name}", *inputs[group.name].trained),
             reads=inputs[group.name].given,
@@ -239,20 +249,21 @@ def _evaluations(preset: Preset, inputs: dict[str, Inputs]) -> list[Stage]:
     for group in preset.groups[1:]:
         kind = main if group.kind is None or group.kind.as_played(main) else group.kind
         horizons = preset.horizons if kind is main else (kind.steps,)
-        stages.append(accuracy(f"accuracy-of-{group.name}", group, kind, preset.examples, horizons, 0))
+        stages.append(accuracy(f"accuracy-of-{group.name}", group, kind, preset.examples, horizons))
     return stages + [_maps(group, preset, inputs[group.name]) for group in preset.groups if group.maps]
 
 
 def _maps(group: Group, preset: Preset, inputs: Inputs) -> Stage:
     name = "maps" if group is preset.groups[0] else f"maps-of-{group.name}"
     asked = ("--weights", f"@/weights/{group.name}", "--methods", *methods_of(group), "--starts", str(preset.starts))
+    many = ("--simulations", str(preset.simulations))
     where = ("--seeker", preset.main.seeker, "--layout", preset.main.layout, "--seed", "1000000")
     views = sum(model in VIEW_MODELS for model in group.models)
     return Stage(
         f"evaluate {name}",
-        ("evaluate", "maps", *asked, "--horizons", *map(str, preset.map_horizons), *where, "--to", f"@/results/{name}"),
+        ("evaluate", "maps", *asked, "--horizons", *map(str, preset.map_horizons), *many, *where, "--to", f"@/results/{name}"),
         (f"@/results/{name}.json", f"@/results/{name}.md", f"@/results/{name}.npz"),
         inputs.trained,
         reads=inputs.given,
-        expected=20 + preset.starts * (3 + 2 * views),
+        expected=20 + preset.starts * (1 + 0.3 * preset.simulations + 3 * views),
     )

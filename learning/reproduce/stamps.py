@@ -55,7 +55,7 @@ class Stamps:
     def key(self, stage: Stage, stages: dict[str, Stage]) -> str:
         """Return the hash of what decides the stage's products: its arguments and what it needs."""
         inputs = {need: [_hash(self.path_of(product)) for product in stages[need].products] for need in stage.needs}
-        read = {str(path): _hash(path) for path in stage.reads}
+        read = {f"{path.parent.name}/{path.name}": _hash(path) for path in stage.reads}
         return hashlib.sha256(json.dumps([stage.arguments, stage.products, inputs, read]).encode()).hexdigest()
 
     def read(self, stage: Stage) -> Stamp | None:
@@ -85,6 +85,10 @@ class Stamps:
         begun, stamp = self._file(stage, "begun"), self.read(stage)
         earlier = begun.read_text() if begun.is_file() else stamp.key if stamp else key
         self._file(stage, "json").unlink(missing_ok=True)
+        if stamp is not None and earlier == key:  # finished, but its product is gone: a finished training writes none again
+            for place in stage.scratch:
+                if place.startswith("@/runs/"):
+                    shutil.rmtree(self.path_of(place), ignore_errors=True)
         if earlier != key:
             for place in stage.scratch:
                 shutil.rmtree(self.path_of(place), ignore_errors=True)
