@@ -130,10 +130,10 @@ PRESETS: dict[str, Preset] = {
         main=_MAIN,
         others=(),
         groups=(
-            Group("compared", COMPARED, "compact", 32_000, vpn=(16_000, 3), plain=True, maps=True, vpn_on_true=True),
-            Group("with-head", ("vpt-tob",), "compact", 32_000, vpn=(16_000, 3)),
+            Group("compared", COMPARED, "compact", 26_000, vpn=(16_000, 3), plain=True, maps=True, vpn_on_true=True),
+            Group("with-head", ("vpt-tob",), "compact", 26_000, vpn=(16_000, 3)),
             RELEASED,
-            *_rates(16_000, "hazard", batch=32),
+            *_rates(12_000, "hazard", batch=32),
         ),
         examples=(1_000, 4_000),
         horizons=(100, 200),
