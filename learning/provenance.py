@@ -21,8 +21,9 @@ def provenance() -> dict[str, Any]:
     Keys: `command`, `commit` (with `+` when the tree was edited), `when` (UTC, ISO 8601), `hardware` (see `hardware`),
     `python`, `torch`.
     """
+    name = Path(sys.argv[0]).name
     return {
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": shlex.join(["vantage" if name == "cli.py" else name, *sys.argv[1:]]),
         "commit": source_commit(),
         "when": datetime.now(UTC).isoformat(timespec="seconds"),
         "hardware": hardware(),
