@@ -53,6 +53,11 @@ def samples_of(data: Dataset, episode: NDArray[np.int64], start: int, horizon: N
     return Samples(episode, starts, horizon, np.zeros(len(episode), np.int64), data.caught(episode, starts + horizon))
 
 
+def of_split(data: Dataset, split: str) -> set[int]:
+    """Rows of the episodes of a split, told by their seeds alone."""
+    return {row for row, seed in enumerate(data.episodes["seed"].tolist()) if SPLITS[split_of(seed)] == split}
+
+
 def caught_early(data: Dataset) -> NDArray[np.int64]:
     """Episodes with a catch well before the end."""
     rows = np.flatnonzero((data.episodes["caught_step"] >= 3) & (data.episodes["caught_step"] < T - 15))
@@ -137,6 +142,11 @@ def test_no_episode_start_or_view_is_in_two_splits(data: Dataset) -> None:
         assert all(by_split) and sum(map(len, by_split)) == len(set().union(*by_split)), kind
 
 
+def test_what_is_drawn_is_of_the_split_that_was_asked_for(data: Dataset) -> None:
+    for split in SPLITS:
+        assert set(data.draw(split, 3000, np.random.default_rng(0)).episode.tolist()) == of_split(data, split)
+
+
 def test_no_recording_is_replayed_in_two_splits(folder: Path, games: dict[int, EpisodeLog]) -> None:
     recorded = read_trajectories(folder / "evader")
     assert all(recorded)
@@ -212,9 +222,9 @@ def test_an_evaluation_shows_test_episodes_only(data: Dataset, weights: Path, wa
         data=data.folder, weights=weights, samples=(40,), horizons=(T,), to=tmp_path / "results", ablations=True, threads=1
     )
     assert evaluate.main(settings) == 0
-    assert watched.shown and watched.shown <= set(data.of_split("test").tolist())
+    assert watched.shown and watched.shown <= of_split(data, "test")
     for start in ("uniform", "first"):
-        assert set(draw_examples(data, "test", 40, start, T, 1).episode.tolist()) <= set(data.of_split("test").tolist())
+        assert set(draw_examples(data, "test", 40, start, T, 1).episode.tolist()) <= of_split(data, "test")
 
 
 @pytest.mark.parametrize("stream", [True, False])
@@ -225,7 +235,7 @@ def test_vpn_learns_from_predictions_for_training_episodes_only(data: Dataset, w
         next(batches)
     batches.close()  # type: ignore[attr-defined]
     assert watched.drawn and set(watched.drawn) == {"train"}
-    assert watched.shown and watched.shown <= set(data.of_split("train").tolist())
+    assert watched.shown and watched.shown <= of_split(data, "train")
 
 
 @pytest.mark.parametrize("what", ["vpt-tob", "vpn", "vpn, fixed set", "hazard"])
@@ -273,7 +283,7 @@ def test_no_training_looks_at_a_test_episode(
         )
     assert code == 0
     assert {"train", "validation"} == set(watched.drawn)
-    assert not watched.shown & set(data.of_split("test").tolist())
+    assert not watched.shown & of_split(data, "test")
 
 
 def test_convert_takes_the_split_from_the_seed_alone(folder: Path, tmp_path: Path) -> None:
