@@ -331,7 +331,7 @@ def reproduce(preset: Preset, folder: Path) -> tuple[Runner, list[str]]:
     return runner, ran
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(1200)
 def test_from_nothing_to_the_page(tiny: Preset, tmp_path: Path) -> None:
     folder = tmp_path / "reproduction"
     runner, ran = reproduce(tiny, folder)
