@@ -121,16 +121,18 @@ def table_two(maps: Result) -> Figure:
     """Draw the relative ranking accuracy over T: as in the paper, and without the ties of the truth."""
     horizons = maps["horizons"]
     caption = (
-        "Value maps by summed probabilities, mean over starts. Dotted: another simulation of the same starts. Networks are "
-        "trained on at most 200 steps."
+        "Value maps, mean over starts. Dotted: another simulation of the same starts. Networks are trained on at most 200 steps."
     )
     figure = new_figure(5.6, "Which of two goals is safer? Relative ranking accuracy (Table II)", caption)
-    measures = (("with_ties", "equality included, as in the paper"), ("without_ties", "pairs that differ in the truth"))
+    measures = (
+        ("with_ties", "binary", "binary v, equality included, as in the paper"),
+        ("without_ties", "expected", "summed probabilities, pairs that differ in the truth"),
+    )
     names = [name for name in METHODS if f"{name}, expected" in maps["ranking"][str(horizons[0])][ONE_SIMULATION]]
-    for index, (measure, title) in enumerate(measures):
+    for index, (measure, value, title) in enumerate(measures):
         axes = figure.add_axes((0.055 + index * 0.40, 0.16, 0.365, 0.68))
         for name in [ANOTHER, *names]:
-            key = name if name == ANOTHER else f"{name}, expected"
+            key = name if name == ANOTHER else f"{name}, {value}"
             found = [maps["ranking"][str(steps)][ONE_SIMULATION][key][measure]["mean"] for steps in horizons]
             values = [float("nan") if value is None else 100 * value for value in found]
             style = ":" if name == ANOTHER else "-"

@@ -115,11 +115,13 @@ def given_weights(settings: ReproduceSettings, folder: Path) -> list[Path]:
         if not found:
             raise Refusal(f"--given {gift}: no weights in {source}")
         target = folder / "weights" / group
+        places += [target / path.name for path in found]
+        if settings.list:
+            continue
         target.mkdir(parents=True, exist_ok=True)
         for path in (other for weights in found for other in (weights, weights.with_suffix(".json"), weights.with_suffix(".md"))):
             if path.resolve() != (target / path.name).resolve():
                 shutil.copy2(path, target / path.name)
-        places += [target / path.name for path in found]
     return places
 
 

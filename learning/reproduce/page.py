@@ -102,7 +102,8 @@ def _table_one(found: Findings) -> list[str]:
         "",
         f"Seekers {', '.join(data['seekers'])}; layouts {', '.join(data['layouts'])}; {data['test episodes']} test games nobody "
         f"trained on; T = {main['horizon limit']}; t0 any step before the catch, horizon uniform; caught in "
-        f"{percent(main['caught share'])} % of the examples. All methods answer the same examples. Intervals: games drawn again.",
+        f"{percent(main['caught share'])} % of the examples. All methods but the oracle answer all of the examples. "
+        "Intervals: games drawn again.",
         "",
         *_figure(found, "table-1.png"),
         *tables.table_one(found.accuracy),
@@ -129,7 +130,8 @@ def _table_two(found: Findings) -> list[str]:
         f"{len(maps['starts'])} starts of test seeds, seeker `{maps['seeker']}`, layout `{maps['layout']}`. The truth: the hider "
         "is moved to every goal in simulation, with the seeds of the episode. Share of pairs of goals at least 3 cells apart "
         "whose order, equality included, agrees; mean ± standard deviation over maps. `binary` adds v as the paper does, "
-        "`expected` adds probabilities; networks were trained on at most 200 steps.",
+        "`expected` adds probabilities, which never tie, so that every pair that ties in the truth counts against it where "
+        "equality is included; `rounded` rounds that sum to whole checkpoints. Networks were trained on at most 200 steps.",
         "",
         *_figure(found, "table-2.png"),
         *tables.table_two(maps, "with_ties", with_paper=True),

@@ -28,6 +28,7 @@ class Stamp:
         seconds: that it ran.
         provenance: commit and hardware.
         taken_from: the folder of an earlier reproduction, where it was made there.
+        resumed: whether it went on with what an interrupted run had left: `seconds` is then of the last run alone.
     """
 
     key: str
@@ -37,6 +38,7 @@ class Stamp:
     seconds: float = 0.0
     provenance: dict[str, Any] = field(default_factory=dict)
     taken_from: str = ""
+    resumed: bool = False
 
 
 class Stamps:
@@ -44,6 +46,7 @@ class Stamps:
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
+        self._resumed: dict[str, bool] = {}
 
     def path_of(self, place: str) -> Path:
         """Return where `@/...` is."""
@@ -84,6 +87,7 @@ class Stamps:
         """
         begun, stamp = self._file(stage, "begun"), self.read(stage)
         earlier = begun.read_text() if begun.is_file() else stamp.key if stamp else key
+        self._resumed[stage.name] = begun.is_file() and earlier == key
         self._file(stage, "json").unlink(missing_ok=True)
         if stamp is not None and earlier == key:  # finished, but its product is gone: a finished training writes none again
             for place in stage.scratch:
@@ -99,7 +103,9 @@ class Stamps:
 
     def finish(self, stage: Stage, key: str, command: str, seconds: float, provenance: dict[str, Any]) -> None:
         """Stamp a stage whose products are there."""
-        self._write(stage, Stamp(key, command, self._products(stage), time.time() - seconds, seconds, provenance))
+        stamp = Stamp(key, command, self._products(stage), time.time() - seconds, seconds, provenance)
+        stamp.resumed = self._resumed.pop(stage.name, False)
+        self._write(stage, stamp)
 
     def _write(self, stage: Stage, stamp: Stamp) -> None:
         file = self._file(stage, "json")
@@ -144,7 +150,7 @@ def _link(source: Path, target: Path) -> None:
     shutil.copy2(source, target)
 
 
-ASIDE = ("command", "commit", "when")
+ASIDE = ("command", "commit", "commits of the logs", "when")
 """What a data set's manifest says that is not about what the set holds."""
 
 

@@ -136,14 +136,19 @@ def table_one(report: Json) -> list[str]:
         if found is None:
             continue
         paper = METHODS[name].paper if name in METHODS else None
-        row = [title_of(name), percent(paper, 2)]
-        row += [percent(few_set["methods"][name]["accuracy"])] if few_set else []
+        fewer = f" (the first {found['examples']:,} examples only)" if found["examples"] < main["examples"] else ""
+        row = [title_of(name) + fewer, percent(paper, 2)]
+        row += [_accuracy(few_set, name)] if few_set else []
         row += [f"{percent(found['accuracy'])} {interval(found['accuracy interval 95 %'])}", percent(found["balanced accuracy"])]
         row += ["" if found["AUROC"] is None else f"{found['AUROC']:.3f}"]
         row += [percent(found["calibration"]["expected calibration error"]), over(found, CLOCK)]
-        row += [percent(first["methods"][name]["accuracy"])] if first else []
+        row += [_accuracy(first, name)] if first else []
         rows.append(row)
     return markdown(head, rows)
+
+
+def _accuracy(result: Json, name: str) -> str:
+    return percent(result["methods"].get(name, {}).get("accuracy"))
 
 
 def ordering(report: Json) -> list[str]:
@@ -182,7 +187,7 @@ def _certainty(main: Json, better: str, worse: str) -> str:
         against = main[one]["against"].get(other)
         if against:
             low, high = against["interval 95 %"]
-            return ", less than chance may do" if low <= 0 <= high else ", more than chance does"
+            return "; the 95 % interval of the difference includes 0" if low <= 0 <= high else "; the 95 % interval excludes 0"
     return ""
 
 

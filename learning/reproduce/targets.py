@@ -8,6 +8,7 @@ from learning.accuracy.report import CLOCK, ORACLE
 from learning.figures.charts import headline
 from learning.figures.style import title_of
 from learning.reproduce import tables
+from learning.reproduce.presets import RELEASED
 from learning.reproduce.tables import Findings, interval, markdown, percent
 from learning.value_maps.report import ANOTHER, ONE_SIMULATION
 
@@ -77,20 +78,17 @@ def targets(found: Findings, preset: str) -> list[Target]:
 
 
 def _size(found: Findings) -> list[Target]:
-    files = []
-    for name, stems in (("vpt-tob", ("vpt-tob", "vpn")), ("hazard", ("hazard",))):
-        largest = found.largest(name, found.of_groups, found.accuracy)
-        if largest:
-            files += [found.folder / "weights" / (largest[0] or found.compared) / f"{stem}.safetensors" for stem in stems]
-    size = sum(path.stat().st_size for path in files if path.is_file())
-    return [Target("weights of VPT-TOB, its VPN and hazard: at most 10 MB in all", f"{size / 1e6:.1f} MB", size <= 10e6)]
+    files = sorted((found.folder / "weights" / RELEASED.name).glob("*.safetensors"))
+    size = sum(path.stat().st_size for path in files)
+    return [Target("released weights: at most 10 MB in all", f"{size / 1e6:.1f} MB", size <= 10e6)] if files else []
 
 
 def _time(found: Findings) -> list[Target]:
     cores = {stamp["provenance"]["hardware"]["cores"] for stamp in found.stamps.values()}
     clock = wall(found) / 60
-    here = cores == {2} and not any(stamp["taken_from"] for stamp in found.stamps.values())
-    text = f"{clock:.0f} minutes on {' or '.join(map(str, sorted(cores)))} cores"
+    whole = not any(stamp["taken_from"] or stamp.get("resumed") for stamp in found.stamps.values())
+    here = cores == {2} and whole
+    text = f"{clock:.0f} minutes on {' or '.join(map(str, sorted(cores)))} cores{'' if whole else ', not all in one go'}"
     return [Target("`quick`: 30 minutes on 2 cores", text, clock <= 30 if here else None)]
 
 
@@ -100,8 +98,11 @@ def _loss(found: Findings) -> list[Target]:
         return []
     horizons = largest[1]["horizons"]
     rows = []
-    for value, label in (("binary", "as in the paper"), ("expected", "by summed probabilities")):
-        one = largest[1]["ranking"][str(horizons[-1])][ONE_SIMULATION].get(f"vpt-tob, {value}", {}).get("with_ties", {})
+    for value, measure, label in (
+        ("binary", "with_ties", "binary v, equality included, as in the paper"),
+        ("expected", "without_ties", "summed probabilities, tie-free"),
+    ):
+        one = largest[1]["ranking"][str(horizons[-1])][ONE_SIMULATION].get(f"vpt-tob, {value}", {}).get(measure, {})
         change = one.get("change since the first horizon")
         if change and change["mean"] is not None:
             text = f"{100 * change['mean']:+.1f} points {interval(change['interval 95 %'], signed=True)}"
@@ -120,6 +121,8 @@ def target_table(found: Findings, preset: str) -> list[str]:
 
 
 def _scale(found: Findings, group: str, name: str) -> str:
-    card = found.cards.get(group or found.compared, {}).get(name, {})
-    samples = card.get("training", {}).get("samples")
-    return f"{samples:,} samples, preset `{card['preset']}`" if samples else "scale unknown"
+    group = group or found.compared
+    card = found.cards.get(group, {}).get(name, {})
+    samples, games = card.get("training", {}).get("samples"), card.get("data", {}).get("episodes", {}).get("train")
+    where = f"group `{group}`"
+    return f"{where}: {samples:,} samples of {games:,} games, preset `{card['preset']}`" if samples and games else where
