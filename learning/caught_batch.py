@@ -43,7 +43,9 @@ def render(network: Hazard | CoordinateValue, data: Dataset, samples: Samples) -
     """Render samples as the network is shown them."""
     count = len(samples)
     if isinstance(network, Hazard):
-        plans = data.questions(replace(samples, horizon=data.longest_horizon(samples.episode, samples.start)))
+        reach = network.settings.checkpoints * network.settings.spacing - 1  # longer games have longer plans
+        longest = np.minimum(data.longest_horizon(samples.episode, samples.start), reach)
+        plans = data.questions(replace(samples, horizon=longest))
         images = np.empty((count, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, CHANNELS), np.uint8)
         render_inputs(plans.views, plans.view_of, plans.positions, plans.first, plans.horizons, samples.symmetry, images)
         caught, known = plan_labels(data, samples, network.settings.checkpoints, network.settings.spacing)

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from vantage.networks.encoder import PAPER, Channels
 from vantage.networks.vpn import VpnSettings
 from vantage.networks.vpt_tob import VptTobSettings
 
@@ -155,3 +156,44 @@ def vpn_notes_of(recipe: VpnRecipe) -> list[str]:
         if differs
     ]
     return [f"Not the paper's recipe: {'; '.join(changed)}." if changed else "The paper's recipe."]
+
+
+CaughtModel = Literal["hazard", "coordinate-path", "coordinate-end"]
+
+
+@dataclass(frozen=True)
+class CaughtRecipe(Pace):
+    """How to train. The defaults are those of VPT-TOB's preset `paper`, with its encoder: equal data, no symmetries added.
+
+    Attributes:
+        encoder: channels of the encoder's convolutions.
+        whole_image: a bottleneck that sees the whole image.
+        dropout: before the last layer.
+        samples: how many the network sees.
+        weight_decay: of AdamW.
+        from_start: share of samples with t0 = 0.
+        symmetries: of the square, by which samples are turned and flipped: 8, 4 or 1.
+    """
+
+    encoder: Channels = PAPER
+    whole_image: bool = True
+    dropout: float = 0.2
+    samples: int = 5_000_000
+    weight_decay: float = 0.0
+    from_start: float = 0.5
+    symmetries: int = 1
+
+
+CAUGHT_PRESETS: dict[str, CaughtRecipe] = {
+    "paper": CaughtRecipe(),
+    "compact": CaughtRecipe(
+        symmetries=8, encoder=(16, 16, 32, 32, 48, 48, 64, 64), samples=800_000, batch=32, schedule="cosine", weight_decay=0.01
+    ),
+}
+
+
+def caught_notes_of(model: CaughtModel, recipe: CaughtRecipe) -> list[str]:
+    """Return what people should know of weights trained so."""
+    kind = "Beyond the paper: one pass for all horizons." if model == "hazard" else "The paper's baseline coordinate-value."
+    narrower = "; narrower than the paper's encoder" if recipe.encoder != PAPER else ""
+    return [kind, f"Recipe: {recipe.symmetries} symmetries, batch {recipe.batch}, learning rate by {recipe.schedule}{narrower}."]

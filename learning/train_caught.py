@@ -14,6 +14,7 @@ from typing import Any, Literal
 import numpy as np
 import torch
 from torch import Tensor
+from torch._dynamo.exc import TorchDynamoException
 
 from learning.board import Board
 from learning.caught_batch import Batch, render
@@ -22,44 +23,12 @@ from learning.dataset import Dataset, prefetch
 from learning.group import Group, join_group
 from learning.measures import accuracy, area_under_roc, balanced_accuracy
 from learning.methods.survival import caught_logits
-from learning.recipe import Pace, Schedule, rate_factor
+from learning.recipe import CAUGHT_PRESETS, CaughtModel, CaughtRecipe, Schedule, caught_notes_of, rate_factor
 from learning.tensors import in_unit_range, on_device
 from vantage.log import source_commit
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
-from vantage.networks.encoder import PAPER, Channels
 from vantage.networks.hazard import Hazard, HazardSettings, survival_loss
-from vantage.networks.weights import ModelCard, card_of, fast_precision, save
-
-Model = Literal["hazard", "coordinate-path", "coordinate-end"]
-
-
-@dataclass(frozen=True)
-class Recipe(Pace):
-    """How to train. The defaults are those of VPT-TOB's preset `paper`, with its encoder.
-
-    Attributes:
-        encoder: channels of the encoder's convolutions.
-        whole_image: a bottleneck that sees the whole image.
-        dropout: before the last layer.
-        samples: how many the network sees.
-        weight_decay: of AdamW.
-        from_start: share of samples with t0 = 0.
-        symmetries: of the square, by which samples are turned and flipped: 8, 4 or 1.
-    """
-
-    encoder: Channels = PAPER
-    whole_image: bool = True
-    dropout: float = 0.2
-    samples: int = 5_000_000
-    weight_decay: float = 0.0
-    from_start: float = 0.5
-    symmetries: int = 8
-
-
-PRESETS: dict[str, Recipe] = {
-    "paper": Recipe(),
-    "compact": Recipe(encoder=(16, 16, 32, 32, 48, 48, 64, 64), samples=800_000, batch=32, schedule="cosine", weight_decay=0.01),
-}
+from vantage.networks.weights import ModelCard, amend, card_of, fast_precision, save
 
 
 @dataclass(frozen=True)
@@ -69,7 +38,7 @@ class TrainCaughtSettings:
     Example: vantage train caught --model hazard --data dataset/ --preset compact --minutes 15 --to weights/hazard.safetensors
     """
 
-    model: Model = "hazard"
+    model: CaughtModel = "hazard"
     """`hazard`: state image, F and T of the whole plan -> the chance of a catch in every interval. `coordinate-path`,
     `coordinate-end`: the paper's baseline, told the path every ten steps and the horizon, or the end of the path alone."""
     data: Path = Path("dataset")
@@ -107,13 +76,15 @@ class TrainCaughtSettings:
     seed: int = 1
 
 
-def resolve(settings: TrainCaughtSettings) -> Recipe:
+def resolve(settings: TrainCaughtSettings) -> CaughtRecipe:
     """Return the preset with what the command line changes."""
-    names = ("samples", "batch", "rate", "drop")
-    return replace(PRESETS[settings.preset], **{name: value for name in names if (value := getattr(settings, name)) is not None})
+    names = ("samples", "batch", "rate", "schedule", "drop")
+    return replace(
+        CAUGHT_PRESETS[settings.preset], **{name: value for name in names if (value := getattr(settings, name)) is not None}
+    )
 
 
-def make_network(model: Model, recipe: Recipe) -> Hazard | CoordinateValue:
+def make_network(model: CaughtModel, recipe: CaughtRecipe) -> Hazard | CoordinateValue:
     """Return an untrained network."""
     shape: dict[str, Any] = {name: getattr(recipe, name) for name in ("encoder", "whole_image", "dropout")}
     if model == "hazard":
@@ -124,7 +95,7 @@ def make_network(model: Model, recipe: Recipe) -> Hazard | CoordinateValue:
 class Trainer:
     """Network, optimiser and loss: all that a checkpoint holds."""
 
-    def __init__(self, model: Model, recipe: Recipe, group: Group, compiled: bool, seed: int) -> None:
+    def __init__(self, model: CaughtModel, recipe: CaughtRecipe, group: Group, compiled: bool, seed: int) -> None:
         torch.manual_seed(seed)
         self.recipe, self.group, self.device = recipe, group, group.device
         self.precision = fast_precision(group.device)
@@ -152,8 +123,15 @@ class Trainer:
         for group in self.optimizer.param_groups:
             group["lr"] = self.recipe.rate * factor
         images, vectors, caught, known = self.tensors(batch)
-        loss = survival_loss(self.logits_in_training(images, vectors), caught, known)
-        loss.backward()
+        try:
+            loss = survival_loss(self.logits_in_training(images, vectors), caught, known)
+            loss.backward()
+        except TorchDynamoException as error:
+            print(f"going on without compiling, it failed: {str(error).strip().splitlines()[0]}", flush=True)
+            self.logits_in_training = self.logits
+            self.optimizer.zero_grad(set_to_none=True)
+            loss = survival_loss(self.logits(images, vectors), caught, known)
+            loss.backward()
         self.group.average(self.parameters)
         self.optimizer.step()
         self.optimizer.zero_grad(set_to_none=True)
@@ -244,8 +222,9 @@ def main(settings: TrainCaughtSettings) -> int:
         card = card_of(trainer.network)
         card.preset, card.commit, card.metrics = settings.preset, source_commit(), measures
         card.data = {key: data.manifest[key] for key in ("hash", "episodes", "hiders", "seekers", "layouts", "horizons")}
-        run = {"samples": seen, "minutes": trained / 60, "device": str(group.device), "seed": settings.seed}
+        run = {"samples": seen, "best after": seen, "minutes": trained / 60, "device": str(group.device), "seed": settings.seed}
         card.training = {**asdict(recipe), **run}
+        card.notes = caught_notes_of(settings.model, recipe)
         return card
 
     stream = prefetch(batches)
@@ -281,6 +260,8 @@ def main(settings: TrainCaughtSettings) -> int:
         if group.rank == 0 and (trained - written_at >= 60 * settings.checkpoint_minutes or done >= 1.0):
             write_checkpoint()
             written_at, clock = trained, time.monotonic()
+    if group.rank == 0:
+        amend(to, samples=seen, minutes=trained / 60)
     say(f"best validation: {best_measures}; weights in {to}")
     if board:
         board.close()

@@ -24,7 +24,7 @@ from learning.recipe import PRESETS, Recipe, Schedule, notes_of, rate_factor
 from learning.tensors import Tensors, tensors_of
 from learning.trainer import Model, Trainer, target_of
 from vantage.log import source_commit
-from vantage.networks.weights import ModelCard, card_of, load_any, save
+from vantage.networks.weights import ModelCard, amend, card_of, load_any, save
 
 
 @dataclass(frozen=True)
@@ -169,6 +169,7 @@ def main(settings: TrainVptTobSettings) -> int:
         card.training = {
             **asdict(recipe),
             "samples": seen,
+            "best after": seen,
             "minutes": trained / 60,
             "device": str(group.device),
             "seed": settings.seed,
@@ -215,6 +216,8 @@ def main(settings: TrainVptTobSettings) -> int:
         if group.rank == 0 and (trained - written_at >= 60 * settings.checkpoint_minutes or done >= 1.0):
             write_checkpoint()
             written_at, clock = trained, time.monotonic()
+    if group.rank == 0:
+        amend(to, samples=seen, minutes=trained / 60)
     say(f"best validation: {best_measures}; weights in {to}")
     if board:
         board.close()

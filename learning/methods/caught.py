@@ -58,7 +58,7 @@ class Hazard:
 
     def __init__(self, name: str, network: hazard.Hazard, cards: dict[str, ModelCard], machine: Machine) -> None:
         self.name, self.cards = name, cards
-        self._network, self._machine = machine.prepared(network), machine
+        self._network, self._machine = machine.prepared(folded(network)), machine
 
     def judge(self, questions: Questions) -> NDArray[np.float32]:
         """Return logits of "caught" [B]; see `caught_logits` for horizons between and beyond the checkpoints."""

@@ -12,6 +12,7 @@ from learning.methods.machine import Machine
 from learning.methods.method import Method
 from learning.methods.shown import Show, action_images, view_and_vector
 from learning.methods.views import PredictedViews
+from vantage.networks.inference import folded
 from vantage.networks.vpn import Vpn
 from vantage.networks.weights import ModelCard, UnusableWeights, load, load_any
 
@@ -56,7 +57,7 @@ def _network(name: str, folder: Path, architecture: str) -> tuple[Any, dict[str,
 
 def _coordinate_value(name: str, folder: Path, machine: Machine) -> Method:
     network, cards = _network(name, folder, "coordinate-value")
-    return CaughtAtHorizon(name, machine.prepared(network), view_and_vector, cards, machine)
+    return CaughtAtHorizon(name, machine.prepared(folded(network)), view_and_vector, cards, machine)
 
 
 def _hazard(name: str, folder: Path, machine: Machine) -> Method:

@@ -15,15 +15,16 @@ from learning.collect import CollectSettings, play_block
 from learning.convert import convert
 from learning.dataset import Dataset, Samples
 from learning.group import Group
-from learning.train_caught import PRESETS, Model, Recipe, TrainCaughtSettings, Trainer, make_network
+from learning.recipe import CAUGHT_PRESETS, CaughtModel, CaughtRecipe
+from learning.train_caught import TrainCaughtSettings, Trainer, make_network
 from schemas import Rules
 from vantage.networks.hazard import Hazard, HazardSettings
 from vantage.networks.weights import load_any, read_card
 
 T = 60
 ALONE = Group(0, 1, torch.device("cpu"))
-SMALL = replace(PRESETS["compact"], encoder=(8,) * 8, batch=8)
-MODELS: tuple[Model, ...] = ("hazard", "coordinate-path", "coordinate-end")
+SMALL = replace(CAUGHT_PRESETS["compact"], encoder=(8,) * 8, batch=8)
+MODELS: tuple[CaughtModel, ...] = ("hazard", "coordinate-path", "coordinate-end")
 
 
 @pytest.fixture(scope="module")
@@ -55,7 +56,7 @@ def test_labels_are_the_outcomes_as_far_as_plan_and_game_reach(dataset: Dataset)
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_nothing_that_is_shown_tells_of_the_outcome(dataset: Dataset, model: Model) -> None:
+def test_nothing_that_is_shown_tells_of_the_outcome(dataset: Dataset, model: CaughtModel) -> None:
     """Had the game ended otherwise after t0, the network would have been shown the same."""
     network = make_network(model, SMALL)
     samples = dataset.draw("train", 64, np.random.default_rng(1), from_start=1.0)
@@ -81,7 +82,7 @@ def test_the_hazard_network_is_shown_the_whole_plan_whatever_the_horizon(dataset
 
 
 @pytest.mark.parametrize("model", MODELS)
-def test_a_view_is_turned_with_its_plan(dataset: Dataset, model: Model) -> None:
+def test_a_view_is_turned_with_its_plan(dataset: Dataset, model: CaughtModel) -> None:
     network = make_network(model, SMALL)
     samples = dataset.draw("train", 8, np.random.default_rng(2), symmetries=1)
     upright, turned = (render(network, dataset, replace(samples, symmetry=np.full(8, k))) for k in (0, 1))
@@ -93,7 +94,7 @@ def test_a_view_is_turned_with_its_plan(dataset: Dataset, model: Model) -> None:
 
 
 @pytest.mark.parametrize("model", ["hazard", "coordinate-path"])
-def test_it_learns_one_batch_by_heart(dataset: Dataset, model: Model) -> None:
+def test_it_learns_one_batch_by_heart(dataset: Dataset, model: CaughtModel) -> None:
     trainer = Trainer(model, replace(SMALL, dropout=0.0), ALONE, compiled=False, seed=0)
     batch = render(trainer.network, dataset, dataset.draw("train", 8, np.random.default_rng(0)))
     losses = [float(trainer.learn(batch, 3.0)) for _ in range(25)]
@@ -114,9 +115,9 @@ def test_a_restored_trainer_goes_on_as_if_never_stopped(dataset: Dataset) -> Non
 
 @pytest.mark.parametrize("model", MODELS)
 def test_from_training_to_weights(
-    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, model: Model
+    dataset: Dataset, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, model: CaughtModel
 ) -> None:
-    monkeypatch.setitem(PRESETS, "compact", SMALL)
+    monkeypatch.setitem(CAUGHT_PRESETS, "compact", SMALL)
     settings = TrainCaughtSettings(
         model=model,
         data=dataset.folder,
@@ -148,8 +149,8 @@ def test_from_training_to_weights(
 def test_the_preset_paper_has_the_encoder_and_the_recipe_of_vpt_tob() -> None:
     from learning.recipe import PRESETS as VPT_TOB
 
-    mine, theirs = PRESETS["paper"], VPT_TOB["paper"]
+    mine, theirs = CAUGHT_PRESETS["paper"], VPT_TOB["paper"]
     assert mine.encoder == theirs.network.encoder
-    for name in ("samples", "batch", "rate", "schedule", "drop", "from_start"):
+    for name in ("samples", "batch", "rate", "schedule", "drop", "from_start", "symmetries"):
         assert getattr(mine, name) == getattr(theirs, name)
-    assert isinstance(mine, Recipe)
+    assert isinstance(mine, CaughtRecipe)

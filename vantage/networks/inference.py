@@ -17,13 +17,13 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval
 from schemas import STATE_IMAGE_SIZE
 from vantage.networks.inputs import CHANNELS
 from vantage.networks.vpn import Vpn
-from vantage.networks.vpt_tob import Stage, Up, ViewPredictor, VptTob
+from vantage.networks.vpt_tob import Stage, Up, VptTob
 from vantage.networks.weights import fast_device, fast_precision, load
 
-Predictor = TypeVar("Predictor", bound=ViewPredictor)
+AnyModule = TypeVar("AnyModule", bound=nn.Module)
 
 
-def folded(network: Predictor) -> Predictor:
+def folded(network: AnyModule) -> AnyModule:
     """Return a copy that computes the same in evaluation mode without BatchNorm layers."""
     network = copy.deepcopy(network).eval()
     for module in network.modules():

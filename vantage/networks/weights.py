@@ -110,6 +110,18 @@ def _replace(path: Path, data: bytes) -> None:
     os.replace(partial, path)
 
 
+def amend(path: Path, **training: Any) -> None:
+    """Write what a training came to at its end into the card of weights that it saved earlier.
+
+    Raises:
+        UnusableWeights: there is no card.
+    """
+    card = read_card(path)
+    card.training.update(training)
+    _replace(card_path(path), (json.dumps(asdict(card), indent=2) + "\n").encode())
+    _replace(path.with_suffix(".md"), card_text(path.name, card).encode())
+
+
 def card_text(name: str, card: ModelCard) -> str:
     """Return the card as Markdown."""
     lines = [f"# {name}", "", f"{card.architecture}, preset `{card.preset}`, sha256 `{card.sha256}`, commit `{card.commit}`", ""]
