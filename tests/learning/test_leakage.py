@@ -10,7 +10,7 @@ import pytest
 import torch
 from numpy.typing import NDArray
 
-from learning import evaluate, gather, train_caught, train_vpn, train_vpt_tob
+from learning import evaluate, gather, recipe, train_caught, train_vpn, train_vpt_tob
 from learning.accuracy.examples import draw_examples
 from learning.collect import CollectSettings, play_block, read_trajectories
 from learning.convert import convert
@@ -244,7 +244,7 @@ def test_no_training_looks_at_a_test_episode(
 ) -> None:
     narrow = replace(PRESETS["compact"], network=replace(PRESETS["compact"].network, encoder=NARROW))
     monkeypatch.setitem(PRESETS, "compact", narrow)
-    monkeypatch.setitem(train_caught.PRESETS, "compact", replace(train_caught.PRESETS["compact"], encoder=NARROW))
+    monkeypatch.setitem(recipe.CAUGHT_PRESETS, "compact", replace(recipe.CAUGHT_PRESETS["compact"], encoder=NARROW))
     for preset in ("compact", "paper"):
         monkeypatch.setitem(VPN_PRESETS, preset, replace(VPN_PRESETS[preset], held=32, batch=32))
     to, workspace = tmp_path / "made.safetensors", tmp_path / "run"

@@ -16,7 +16,7 @@ import pytest
 import torch
 import tyro
 
-from learning import recipe, train_caught
+from learning import recipe
 from learning.reproduce import tables
 from learning.reproduce.command import lines_of, publish
 from learning.reproduce.presets import PRESETS, Preset
@@ -310,8 +310,8 @@ def tiny(monkeypatch: pytest.MonkeyPatch) -> Iterator[Preset]:
     shape = VptTobSettings(width=0.25, whole_image=True, caught_head=True)
     monkeypatch.setitem(recipe.PRESETS, "compact", replace(recipe.PRESETS["compact"], network=shape))
     monkeypatch.setitem(recipe.VPN_PRESETS, "compact", replace(recipe.VPN_PRESETS["compact"], held=64, pool=64))
-    narrow = replace(train_caught.PRESETS["compact"], encoder=(4, 4, 8, 8, 8, 8, 16, 16))
-    monkeypatch.setitem(train_caught.PRESETS, "compact", narrow)
+    narrow = replace(recipe.CAUGHT_PRESETS["compact"], encoder=(4, 4, 8, 8, 8, 8, 16, 16))
+    monkeypatch.setitem(recipe.CAUGHT_PRESETS, "compact", narrow)
     threads = torch.get_num_threads()
     yield PRESETS["smoke"]
     torch.set_num_threads(threads)
