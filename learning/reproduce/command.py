@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 import shutil
 import signal
@@ -133,7 +134,10 @@ def publish(folder: Path, root: Path) -> None:
         shutil.rmtree(target, ignore_errors=True)
         target.mkdir(parents=True)
         for path in sorted(path for ending in endings for path in (folder / part).glob(ending)):
-            shutil.copy2(path, target / path.name)
+            if path.suffix == ".json":  # without indentation a third of the size
+                (target / path.name).write_text(json.dumps(json.loads(path.read_text()), separators=(",", ":")) + "\n")
+            else:
+                shutil.copy2(path, target / path.name)
     shutil.copy2(folder / "results.md", docs / "results.md")
 
 
