@@ -172,7 +172,7 @@ def warnings_of(methods: list[Method], data: Dataset) -> list[str]:
     lines = []
     for file, card in {file: card for method in methods for file, card in method.cards.items()}.items():
         if card.data.get("hash") != data.hash:
-            lines.append(f"{file} was trained on other data than --data: it may have seen these games")
+            lines.append(f"{file} was trained on other data than --data (splits go by seed, alike in every gathered set)")
     for method in methods:
         files = list(method.cards)
         if (
