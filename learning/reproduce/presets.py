@@ -142,22 +142,22 @@ PRESETS: dict[str, Preset] = {
         simulations=4,
         map_horizons=(200, 250, 300, 350),
     ),
-    # Some two and a half hours, of which the longer training is 70 minutes of one core (weights may be given from elsewhere).
+    # Some two hours, of which the longer training is an hour of one core (weights may be given from elsewhere).
     "hours": Preset(
         main=_MAIN,
         others=_other_kinds((300, 50, 300))[:3],
         groups=(
-            Group("compared", COMPARED, "compact", 120_000, vpn=(60_000, 3), plain=True, maps=True, vpn_on_true=True),
-            Group("longer", ("vpt-tob", "hazard"), "compact", 800_000, kind=_LARGE, maps=True),
-            Group("paper-network", ("vpt-tob", "whole-image"), "paper", 50_000, batch=32),
+            Group("compared", COMPARED, "compact", 80_000, vpn=(48_000, 3), plain=True, maps=True, vpn_on_true=True),
+            Group("longer", ("vpt-tob", "hazard"), "compact", 600_000, kind=_LARGE, maps=True),
+            Group("paper-network", ("vpt-tob", "whole-image"), "paper", 40_000, batch=32),
             RELEASED,
-            *_rates(30_000, "hazard", batch=32),
+            *_rates(20_000, "hazard", batch=32),
         ),
         examples=(1_000, 10_000),
         horizons=(100, 200),
         oracle=(50, 1_000),
         starts=50,
-        simulations=20,
+        simulations=10,
         map_horizons=(200, 250, 300, 350),
     ),
     # The paper's scale: a sitting on a GPU, days on two cores.
