@@ -18,6 +18,7 @@ from schemas.messages import (
     Intrinsics,
     Layout,
     Message,
+    Motion,
     Plan,
     Players,
     Pose,
@@ -28,6 +29,7 @@ from schemas.messages import (
     Rules,
     StateImage,
     Tick,
+    Track,
 )
 from schemas.topics import CALLS, SERVICES, TOPICS, Call, Delivery, Topic
 
@@ -54,6 +56,7 @@ __all__ = [
     "Layout",
     "MalformedMessage",
     "Message",
+    "Motion",
     "Plan",
     "Players",
     "Pose",
@@ -65,6 +68,7 @@ __all__ = [
     "StateImage",
     "Tick",
     "Topic",
+    "Track",
     "decode",
     "encode",
 ]

@@ -143,10 +143,60 @@ class Pose(Message, frozen=True, kw_only=True):
         _require_finite("pose", self.x, self.y, self.heading)
 
 
+class Track(Message, frozen=True, kw_only=True):
+    """Where the overhead camera sees a robot now, at the camera's own rate: for those who close a control loop on it.
+
+    Between steps, outside games and while a robot drives to its start, too; `hider/pose` and `seeker/pose` are the one pose
+    of each step. Episode and step are those being played, 0 outside a game.
+    """
+
+    x: Annotated[Metres, Meta(description="centre, m, arena frame")]
+    y: Annotated[Metres, Meta(description="centre, m, arena frame")]
+    heading: Annotated[Radians, Meta(description="rad, counter-clockwise from +x")]
+    speed_x: Annotated[float, Meta(ge=-100.0, le=100.0, description="m/s along the arena's x")] = 0.0
+    speed_y: Annotated[float, Meta(ge=-100.0, le=100.0, description="m/s along the arena's y")] = 0.0
+    turn_rate: Annotated[float, Meta(ge=-1000.0, le=1000.0, description="rad/s, counter-clockwise")] = 0.0
+    covariance: Annotated[
+        tuple[float, float, float, float, float, float],
+        Meta(description="of x, y, heading: xx, xy, xh, yy, yh, hh, in m and rad"),
+    ] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    seen: Annotated[bool, Meta(description="false: predicted, the camera did not see the tag in this frame")] = True
+
+    def __post_init__(self) -> None:
+        _require_finite("track", self.x, self.y, self.heading, self.speed_x, self.speed_y, self.turn_rate, *self.covariance)
+
+
 class Command(Message, frozen=True, kw_only=True):
     """What a robot does in this step."""
 
     primitive: Primitive
+
+
+class Motion(Message, frozen=True, kw_only=True):
+    """How a real robot came to this step: the driver's report, by which the tracker knows when to look.
+
+    Step 0: it stands at its start. Step n + 1: it is done with the command of step n, whatever came of it.
+    """
+
+    primitive: Annotated[Primitive, Meta(description="what it was told; `stay` at step 0")]
+    result: Annotated[
+        Literal["completed", "refused", "stuck", "timed-out", "stopped", "lost"],
+        Meta(
+            description="completed: within tolerance; refused: not begun, it would have collided; stuck: wheels turned, the "
+            "robot did not; timed-out: not within tolerance in time; stopped: emergency stop; lost: no tracked pose to drive by"
+        ),
+    ]
+    distance_error: Annotated[Length, Meta(description="m between where it was to be and where it is tracked")] = 0.0
+    heading_error: Annotated[Radians, Meta(description="rad, tracked minus wanted")] = 0.0
+    elapsed: Annotated[Seconds, Meta(description="s from the command to this report; differs from run to run")] = 0.0
+    battery: Annotated[
+        Annotated[float, Meta(ge=0.0, le=100.0)] | None, Meta(description="V; null when the robot does not say")
+    ] = None
+    reason: Annotated[ShortText, Meta(description="what went wrong, for people; empty when completed")] = ""
+
+    def __post_init__(self) -> None:
+        numbers = (self.distance_error, self.heading_error, self.elapsed)
+        _require_finite("motion", *numbers, *(() if self.battery is None else (self.battery,)))
 
 
 class Intrinsics(Struct, frozen=True, kw_only=True):

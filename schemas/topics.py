@@ -15,6 +15,10 @@ Delivery = Literal["lossless", "latest"]
 
 WORLD = ("simulator", "tracker")
 HIDER = ("planner", "console", "hider")
+DRIVERS = ("robot", "onboard")
+"""Who carries commands out on a real table: our driver, or a robot that speaks on the bus itself."""
+CAMERAS = ("rehearsal",)
+"""Who publishes raw camera frames; the tracker opens real cameras itself."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +57,10 @@ class Call:
     server: str
 
 
-SERVICES = ("simulator", "tracker", "referee", "seeker", "planner", "predictor", "recorder", "console", "hider")
+SERVICES = (
+    *("simulator", "tracker", "robot", "onboard", "rehearsal"),
+    *("referee", "seeker", "planner", "predictor", "recorder", "console", "hider"),
+)
 
 _STEP_RATE = 4.0
 
@@ -70,6 +77,11 @@ TOPICS: dict[str, Topic] = {
         Topic("seeker/command", m.Command, ("seeker",), rate=_STEP_RATE),
         Topic("hider/view", m.StateImage, HIDER, rate=_STEP_RATE),
         Topic("seeker/view", m.StateImage, ("seeker",), rate=_STEP_RATE),
+        *(Topic(f"{robot}/motion", m.Motion, DRIVERS, rate=_STEP_RATE) for robot in m.ROBOTS),
+        *(Topic(f"{robot}/track", m.Track, ("tracker",), "latest", rate=30.0) for robot in m.ROBOTS),
+        Topic("overhead/color", m.ColorImage, CAMERAS, "latest", rate=15.0, recorded=False),
+        *(Topic(f"{robot}/camera/depth", m.DepthImage, CAMERAS, "latest", rate=5.0, recorded=False) for robot in m.ROBOTS),
+        *(Topic(f"{robot}/camera/color", m.ColorImage, CAMERAS, "latest", rate=5.0, recorded=False) for robot in m.ROBOTS),
         Topic("hider/plan", m.Plan, HIDER),
         Topic("predictor/request", m.PredictRequest, ("predictor",), cache=16, history=0),
         Topic("predictor/reply", m.PredictReply, ("predictor",), cache=16, history=0),

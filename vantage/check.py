@@ -17,6 +17,11 @@ PEOPLE = {"control"}
 """Topics that people publish from the command line or the console: no service of a deployment has to."""
 
 
+def _may_lack_publisher(key: str) -> bool:
+    """Whether a deployment is sound although nobody in it publishes the key: people do, or it is some service's health."""
+    return key in PEOPLE or key.startswith("health/")
+
+
 def declaration_of(service: str) -> Declaration:
     """Return what a service declares in `services/NAME/declaration.py`.
 
@@ -67,7 +72,7 @@ def troubles_with_wiring(declarations: Iterable[Declaration]) -> list[str]:
         if not declaration.raw:
             for key in declaration.inputs:
                 found = publishers.get(key, [])
-                if key in PEOPLE and not found:
+                if _may_lack_publisher(key) and not found:
                     continue
                 if len(found) != 1:
                     troubles.append(f"{declaration.name} hears {key}, published by {_listed(found)} (exactly one must)")
@@ -85,9 +90,11 @@ def troubles_with_wiring(declarations: Iterable[Declaration]) -> list[str]:
             for key in declaration.serves
             if declaration.name != CALLS[key].server
         )
-        missing = set(declaration.heeds) - {other.name for other in declarations}
+        here = {other.name for other in declarations}
+        missing = [names for names in sorted(declaration.heeds) if here.isdisjoint(names.split("|"))]
         if missing:
-            troubles.append(f"{declaration.name} waits for {_listed(sorted(missing))}, which this deployment does not have")
+            waited_for = _listed(names.replace("|", " or ") for names in missing)
+            troubles.append(f"{declaration.name} waits for {waited_for}, which this deployment does not have")
     for key, found in publishers.items():
         if len(found) > 1:
             troubles.append(f"{key} is published by {_listed(found)} (only one may)")

@@ -7,5 +7,5 @@ DECLARATION = Declaration(
     inputs=("episode", "tick", "layout", "hider/pose", "hider/depth", "hider/color"),
     outputs=("hider/plan", "hider/command", "hider/view", "health/planner"),
     calls=("predictor",),
-    heeds=("referee", "simulator", "predictor"),
+    heeds=("referee", "simulator|tracker", "predictor"),
 )

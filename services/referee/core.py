@@ -8,10 +8,13 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import cast
 
-from schemas import ROBOTS, Command, Control, Episode, Players, Pose, Robot, Rules, Tick
+from schemas import ROBOTS, Command, Control, Episode, Health, Layout, Players, Pose, Robot, Rules, Tick
 from services.referee.declaration import DECLARATION
 from vantage.service import SECOND, Arrived, Changed, Publish, Received, Send, Unexpected, Woken
 from vantage.world.arena import CATCH_TOLERANCE
+
+REASON_LIMIT = 200
+"""Letters of a reason (`schemas.messages.ShortText`)."""
 
 _RESTARTED = "the referee was restarted; the setup of this game has its seed and rules"
 
@@ -32,14 +35,15 @@ class RefereeSettings:
     """Rules of the games of autoplay."""
     players: Players = field(default_factory=Players)
     """Who plays in autoplay."""
-    required: tuple[str, ...] = ("simulator", "seeker", "planner", "predictor", "recorder")
-    """Services that must be alive before a game is set up."""
+    required: tuple[str, ...] = DECLARATION.heeds
+    """Services that must be alive before a game is set up; `a|b`: one of the two."""
     settle: float = 0.5
     """Seconds to listen after the start, to hear of a game that a crashed referee left behind."""
     pause: float = 2.0
     """Seconds between games in real time."""
     setup_patience: float = 10.0
-    """Seconds to wait for the first poses of a game."""
+    """Seconds to wait for the first poses of a game, since the world last said how the table stands (`layout`): a real table
+    says it again and again while robots drive to their starts."""
     planning_patience: float = 30.0
     """Seconds to wait for the first commands: the hider paints its value map in this time."""
     command_patience: float = 1.0
@@ -81,6 +85,7 @@ class RefereeCore:
         self._commanded: set[str] = set()
         self._ticked_at = 0
         self._listening_since: int | None = None
+        self._trouble_of_world: dict[str, str] = {}
 
     def wake_at(self) -> int | None:
         return self._wake
@@ -98,6 +103,10 @@ class RefereeCore:
                 return self._on_command(robot, message, now)
             if isinstance(message, Control):
                 return self._on_control(message, now)
+            if isinstance(message, Layout) and self._phase is _Phase.SETUP and message.episode == self._number:
+                self._wake = now + int(self._settings.setup_patience * SECOND)
+            elif isinstance(message, Health):
+                self._trouble_of_world[message.service] = message.reason
             return ()
         if isinstance(received, Changed):
             (self._alive.add if received.alive else self._alive.discard)(received.service)
@@ -120,7 +129,7 @@ class RefereeCore:
             self._phase = _Phase.IDLE
             return self._begin_if_possible(now)
         if self._phase is _Phase.SETUP:
-            return self._abort(f"no poses within {self._settings.setup_patience:g} s of the setup", now)
+            return self._abort(self._blame(f"no poses within {self._settings.setup_patience:g} s of the setup"), now)
         if self._phase is _Phase.PACING:
             return self._tick(self._step, now)
         if self._phase is _Phase.COMMANDS:
@@ -130,7 +139,7 @@ class RefereeCore:
             self._wait_for_poses(now)
             return (Publish("tick", Tick(stamp=now, episode=self._number, step=self._step, late=late)),)
         if self._phase is _Phase.POSES:
-            return self._abort(f"step {self._step} was not executed within {self._settings.step_patience:g} s", now)
+            return self._abort(self._blame(f"step {self._step} was not executed within {self._settings.step_patience:g} s"), now)
         return ()
 
     def _finish_listening(self, now: int) -> Sequence[Send]:
@@ -162,7 +171,7 @@ class RefereeCore:
         return sends
 
     def _begin_if_possible(self, now: int) -> Sequence[Send]:
-        if self._games_left == 0 or not self._alive.issuperset(self._settings.required):
+        if self._games_left == 0 or any(self._alive.isdisjoint(names.split("|")) for names in self._settings.required):
             return ()
         if self._games_left is not None:
             self._games_left -= 1
@@ -236,6 +245,11 @@ class RefereeCore:
         episode = self._episode("aborted", now, reason=reason)
         self._rest(now)
         return (episode,)
+
+    def _blame(self, reason: str) -> str:
+        """Return a reason with what those who embody the robots last said of themselves: they owe the answer."""
+        troubles = [f"{service}: {trouble}" for service, trouble in self._trouble_of_world.items() if trouble]
+        return "; ".join([reason, *troubles])[:REASON_LIMIT]
 
     def _rest(self, now: int) -> None:
         self._phase = _Phase.PAUSE

@@ -2,9 +2,15 @@
 
 from vantage.service import Declaration
 
+WORLD = ("simulator", "tracker", "robot")
+"""Who embodies the robots, one or the other: what they say of themselves tells people why a game was aborted."""
+
 DECLARATION = Declaration(
     name="referee",
-    inputs=("control", "hider/pose", "seeker/pose", "hider/command", "seeker/command"),
+    inputs=(
+        *("control", "layout", "hider/pose", "seeker/pose", "hider/command", "seeker/command"),
+        *(f"health/{service}" for service in WORLD),
+    ),
     outputs=("episode", "tick", "health/referee"),
-    heeds=("simulator", "seeker", "planner", "predictor", "recorder"),
+    heeds=("simulator|tracker", "seeker", "planner", "predictor", "recorder"),
 )

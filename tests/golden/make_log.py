@@ -25,6 +25,7 @@ from schemas import (
     Intrinsics,
     Layout,
     Message,
+    Motion,
     Plan,
     Players,
     Pose,
@@ -33,6 +34,7 @@ from schemas import (
     Rules,
     StateImage,
     Tick,
+    Track,
     encode,
 )
 from schemas.evolution import SCHEMA_VERSION
@@ -68,6 +70,24 @@ def example(key: str, step: int) -> Message:
             )
         },
         Pose: {"x": 0.25 + 0.01 * step, "y": 0.6, "heading": -1.5},
+        Motion: {
+            "primitive": "left" if step else "forward",
+            "result": "stuck" if step else "completed",
+            "distance_error": 0.006 if step else 0.001,
+            "heading_error": -0.01,
+            "elapsed": 0.2,
+            "battery": 7.4,
+            "reason": "wheels turn, the robot does not" if step else "",
+        },
+        Track: {
+            "x": 0.25,
+            "y": 0.6,
+            "heading": -1.5,
+            "speed_x": 0.04,
+            "turn_rate": 0.5,
+            "covariance": (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-4),
+            "seen": not step,
+        },
         DepthImage: {"width": 8, "height": 1, "intrinsics": lens, "data": np.arange(8, dtype="<u2").tobytes()},
         ColorImage: {"width": 8, "height": 1, "intrinsics": lens, "data": bytes(range(24))},
         Command: {"primitive": "left" if step else "forward"},

@@ -167,13 +167,13 @@ def test_given_weights_are_not_trained_and_their_change_is_noticed(tmp_path: Pat
     source.mkdir()
     for ending in ("safetensors", "json", "md"):
         (source / f"vpt-tob.{ending}").write_text("trained")
-    settings = ReproduceSettings(preset="hours", given=(f"longer={source}",))
+    settings = ReproduceSettings(preset="paper", given=(f"longer={source}",))
     given = given_weights(settings, tmp_path / "here")
     found = {path.relative_to(tmp_path / "here/weights").as_posix() for path in given}
     assert {name for name in found if not name.startswith("released/")} == {"longer/vpt-tob.safetensors"}
     assert {"released/vpt-tob.safetensors", "released/vpn.safetensors"} <= found, "those of this release, always"
-    all_stages = {stage.name: stage for stage in stages_of("hours", PRESETS["hours"], Machine(2, False))}
-    stages = {stage.name: stage for stage in stages_of("hours", PRESETS["hours"], Machine(2, False), given)}
+    all_stages = {stage.name: stage for stage in stages_of("paper", PRESETS["paper"], Machine(2, False))}
+    stages = {stage.name: stage for stage in stages_of("paper", PRESETS["paper"], Machine(2, False), given)}
     assert all_stages.keys() - stages.keys() == {"train longer/vpt-tob"}
     for name in ("train longer/vpn", "evaluate accuracy-of-longer", "evaluate maps-of-longer"):
         assert (
@@ -185,7 +185,7 @@ def test_given_weights_are_not_trained_and_their_change_is_noticed(tmp_path: Pat
         for ending in ("json", "md"):
             (source / f"{stem}.{ending}").write_text("")
     stages = {
-        s.name: s for s in stages_of("hours", PRESETS["hours"], Machine(2, False), given_weights(settings, tmp_path / "here"))
+        s.name: s for s in stages_of("paper", PRESETS["paper"], Machine(2, False), given_weights(settings, tmp_path / "here"))
     }
     assert "gather glancing-random-200-large" not in stages, "nothing learns from it any more"
     for wrong in ("nobody=weights", f"longer={tmp_path}"):

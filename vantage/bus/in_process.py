@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from itertools import islice
+from typing import Any
 
 from schemas import CALLS, TOPICS, Call, Message, Topic, encode
 from vantage.bus.interface import Alive, Bus, CannotOpen, Event, NameInUse, Reply, Request, Sample, wrong_type
@@ -126,7 +127,7 @@ class InProcessBus(Bus):
         self._network = network
         self._clock = network.clock
         self._checked = network.checked
-        self._queue: deque[Event | _Newest | None] = deque()
+        self._queue: deque[Any] = deque()  # events, `_Newest`, what was posted, None for `wake`
         self._routes: dict[str, _Route] = {}
         self._reading: dict[str, Put] = {}
         self._watching = False
@@ -173,7 +174,7 @@ class InProcessBus(Bus):
                 for sample in islice(history, 0 if raw else max(0, len(history) - topic.history), None):
                     put(sample)
 
-    def receive(self, timeout: float) -> Event | None:
+    def receive(self, timeout: float) -> Event | Any | None:
         if self._deadlines:
             self._expire()
         if not self._queue:
@@ -183,7 +184,7 @@ class InProcessBus(Bus):
         if type(event) is _Newest:
             sample, event.sample = event.sample, None
             return sample
-        return event  # type: ignore[return-value]
+        return event
 
     def call(self, key: str, request: Message, timeout: float) -> int:
         self._require_open()
@@ -217,6 +218,9 @@ class InProcessBus(Bus):
 
     def wake(self) -> None:
         self._queue.append(None)
+
+    def post(self, event: object) -> None:
+        self._queue.append(event)
 
     def close(self) -> None:
         if not self._open:

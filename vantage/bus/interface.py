@@ -11,7 +11,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
 from types import TracebackType
-from typing import Self
+from typing import Any, Self
 
 from msgspec import Struct
 
@@ -220,8 +220,9 @@ class Bus(ABC):
         """
 
     @abstractmethod
-    def receive(self, timeout: float) -> Event | None:
-        """Return the next event, in order of arrival; None when none came within `timeout` seconds, or after `wake`.
+    def receive(self, timeout: float) -> Event | Any | None:
+        """Return the next event, posted ones included, in order of arrival; None when none came within `timeout` seconds, or
+        after `wake`.
 
         In-process nothing can arrive while the one thread waits, so it returns at once.
         """
@@ -258,6 +259,13 @@ class Bus(ABC):
         """Make a waiting (or a later) `receive` return None, in its turn.
 
         May be called from signal handlers and other threads.
+        """
+
+    @abstractmethod
+    def post(self, event: object) -> None:
+        """Put an event of this process's own (a camera's frame, a line from a serial port) in line with those of the bus.
+
+        May be called from other threads. Who posts faster than the service reads keeps the newest to itself.
         """
 
     @abstractmethod

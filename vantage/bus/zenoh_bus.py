@@ -25,7 +25,7 @@ from zenoh.handlers import Callback
 from schemas import CALLS, TOPICS, Call, Message, Topic, encode
 from vantage.bus.allocator import keep_freed_memory
 from vantage.bus.interface import Bus, CannotOpen, Event, wrong_type
-from vantage.bus.zenoh_events import NUMBERS, Asked, Item, LivelinessChange, Pending, encoding_of, pack
+from vantage.bus.zenoh_events import NUMBERS, Asked, Item, LivelinessChange, Pending, Posted, encoding_of, pack
 from vantage.bus.zenoh_readers import Lossless, Newest, Reader, Strangers
 from vantage.bus.zenoh_session import open_session
 
@@ -142,7 +142,7 @@ class ZenohBus(Bus):
             reader = Reader(self.put, self.prefix, topic) if raw else Newest(self.put, self.prefix, topic)
         self._kept += reader.declare(session)
 
-    def receive(self, timeout: float) -> Event | None:
+    def receive(self, timeout: float) -> Event | Any | None:
         if not self._announced:
             self._announce()
         ready = self._ready
@@ -226,6 +226,9 @@ class ZenohBus(Bus):
 
     def wake(self) -> None:
         self.put(None)
+
+    def post(self, event: object) -> None:
+        self.put(Posted(event))
 
     def close(self) -> None:
         session, self._session = self._session, None

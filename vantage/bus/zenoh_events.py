@@ -171,3 +171,15 @@ class LivelinessChange:
     def handle(self, ready: deque[Event]) -> None:
         name = str(self.sample.key_expr).rpartition("/")[2]
         ready.append(Alive(name, self.sample.kind == zenoh.SampleKind.PUT))
+
+
+class Posted:
+    """An event of this process's own."""
+
+    __slots__ = ("event",)
+
+    def __init__(self, event: object) -> None:
+        self.event = event
+
+    def handle(self, ready: deque[Event]) -> None:
+        ready.append(self.event)  # type: ignore[arg-type]

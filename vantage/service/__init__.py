@@ -22,9 +22,10 @@ from vantage.service.core import (
     Unexpected,
     Woken,
 )
+from vantage.service.device import Captured, Device, DeviceLost, Write
 from vantage.service.join import StepJoin
 from vantage.service.process import BusSettings, run
-from vantage.service.runtime import Runtime, run_in_process
+from vantage.service.runtime import Runtime, run_in_process, steady_clock
 
 __all__ = [
     "SECOND",
@@ -35,9 +36,12 @@ __all__ = [
     "Asked",
     "BusSettings",
     "CannotStart",
+    "Captured",
     "Changed",
     "Core",
     "Declaration",
+    "Device",
+    "DeviceLost",
     "Publish",
     "Received",
     "Refuse",
@@ -46,6 +50,8 @@ __all__ = [
     "StepJoin",
     "Unexpected",
     "Woken",
+    "Write",
     "run",
     "run_in_process",
+    "steady_clock",
 ]

@@ -8,6 +8,7 @@ from typing import Protocol
 
 from schemas import CALLS, TOPICS, Message
 from vantage.bus import Lost, Sample
+from vantage.service.device import Captured, Write
 
 SECOND = 1_000_000_000
 
@@ -19,7 +20,7 @@ class Declaration:
     Attributes:
         inputs, outputs: short keys of the topic table.
         calls, serves: keys of the call table.
-        heeds: services whose coming and going the core wants to know (`Changed`).
+        heeds: services whose coming and going the core wants to know (`Changed`); `a|b`: one of the two is enough.
         raw: inputs are key expressions, and reach the core undecoded, as `vantage.bus.Sample` (the recorder).
     """
 
@@ -78,7 +79,7 @@ class Woken:
     """The time that `wake_at` named has come."""
 
 
-Received = Arrived | Asked | Answered | Changed | Woken | Sample | Lost
+Received = Arrived | Asked | Answered | Changed | Woken | Captured | Sample | Lost
 
 
 @dataclass(slots=True)
@@ -109,7 +110,7 @@ class Refuse:
     reason: str
 
 
-Send = Publish | Ask | Answer | Refuse
+Send = Publish | Ask | Answer | Refuse | Write
 
 
 class Unexpected(Exception):

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +13,7 @@ from types import FrameType
 
 from vantage.bus import CannotOpen
 from vantage.service.core import CannotStart, Core
+from vantage.service.device import Device
 from vantage.service.runtime import Runtime
 
 logger = logging.getLogger("vantage")
@@ -41,7 +42,7 @@ def _stop_on_signal(runtime: Runtime) -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def run(make_core: Callable[[], Core], name: str, settings: BusSettings) -> int:
+def run(make_core: Callable[[], Core], name: str, settings: BusSettings, devices: Sequence[Device] = ()) -> int:
     """Run one service as a process on Zenoh until SIGTERM. Returns the exit code.
 
     What is wrong at the start (missing weights, a taken name, an impossible layout) is said in one line.
@@ -58,7 +59,7 @@ def run(make_core: Callable[[], Core], name: str, settings: BusSettings) -> int:
         except (CannotStart, CannotOpen, ValueError, OSError) as error:
             print(f"{name} cannot start: {error}", file=sys.stderr)
             return 1
-        runtime = Runtime(core, bus)
+        runtime = Runtime(core, bus, devices=devices)
         with _stop_on_signal(runtime):
             logger.info("%s started", name)
             runtime.run()

@@ -27,6 +27,7 @@ from vantage.service.core import (
     Unexpected,
     Woken,
 )
+from vantage.service.device import Captured, Device, DeviceThread, Write
 
 logger = logging.getLogger("vantage")
 
@@ -67,12 +68,14 @@ class Runtime:
     Attributes:
         clock: time in ns since the Unix epoch; virtual in process.
         health: whether to publish `health/{name}` once a second.
+        devices: of the service: opened and read while `run` runs.
     """
 
     core: Core
     bus: Bus
     clock: Callable[[], int] = steady_clock
     health: bool = True
+    devices: Sequence[Device] = ()
     _inputs: dict[str, _Input] = field(default_factory=dict)
     _unexpected: int = 0
     _failed: int = 0
@@ -89,7 +92,9 @@ class Runtime:
         declaration = self.core.declaration
         self._raw = declaration.raw
         self._outputs = frozenset(declaration.outputs)
-        self._heeds = frozenset(declaration.heeds)
+        self._heeds = frozenset(name for names in declaration.heeds for name in names.split("|"))
+        self._devices = {device.name: device for device in self.devices}
+        self._threads = [DeviceThread(device, self.bus.post, self.clock) for device in self.devices]
         self._inputs = {} if self._raw else {key: _Input() for key in declaration.inputs}
         self._started = self.clock()
         self._last_failure_logged = 0.0
@@ -139,8 +144,14 @@ class Runtime:
 
     def run(self) -> None:
         """Loop until `stop` or SIGTERM."""
-        while not self._stopping:
-            self.turn(1.0)
+        for thread in self._threads:
+            thread.start()
+        try:
+            while not self._stopping:
+                self.turn(1.0)
+        finally:
+            for thread in self._threads:
+                thread.stop()
         if self._raw:
             # What has arrived is recorded before the end; SIGKILL follows SIGTERM after 2 s.
             until = time.monotonic() + LAST_WORDS
@@ -158,7 +169,11 @@ class Runtime:
         """Return what the service has to say of itself now."""
         now = self.clock()
         inputs = []
-        troubles = [f"{name} is not alive" for name in sorted(self._heeds) if not self._alive.get(name, False)]
+        troubles = [
+            f"{names.replace('|', ' or ')} is not alive"
+            for names in sorted(self.core.declaration.heeds)
+            if not any(self._alive.get(name, False) for name in names.split("|"))
+        ]
         if own := getattr(self.core, "trouble", ""):
             troubles.append(own)
         for key, counts in self._inputs.items():
@@ -206,6 +221,11 @@ class Runtime:
             counts.lost += event.missed
             if self._raw:
                 self._step(event, now)
+        elif isinstance(event, DeviceThread):
+            if (captured := event.take()) is not None:
+                self._step(captured, now)
+        elif isinstance(event, Captured):
+            self._step(event, now)
         elif isinstance(event, Alive) and event.name in self._heeds and self._alive.get(event.name) != event.alive:
             self._alive[event.name] = event.alive
             self._step(Changed(event.name, event.alive), now)
@@ -303,6 +323,8 @@ class Runtime:
             if send.key not in self._outputs:
                 raise ValueError(f"{self.core.declaration.name} does not declare {send.key} as an output")
             self.bus.publish(send.key, send.message)
+        elif isinstance(send, Write):
+            self._devices[send.device].write(send.data)
         elif isinstance(send, Ask):
             self._tokens[self.bus.call(send.key, send.request, send.timeout)] = (send.key, send.token)
         elif isinstance(send, Answer):
