@@ -6,7 +6,7 @@ SHELL := /bin/bash
 .DEFAULT_GOAL := help
 
 PYTHONS := python3 python3.12 python3.11 python3.13
-KERNELS := $(wildcard schemas/*.py vantage/*.py vantage/world/*.py vantage/perception/*.py vantage/networks/*.py services/seeker/*.py services/planner/*.py learning/hiders/*.py learning/roll_outs/*.py)
+KERNELS := $(wildcard schemas/*.py vantage/*.py vantage/world/*.py vantage/perception/*.py vantage/networks/*.py vantage/tracking/*.py vantage/rehearsal/*.py services/seeker/*.py services/planner/*.py learning/hiders/*.py learning/roll_outs/*.py)
 
 .PHONY: help demo reproduce test setup clean
 
@@ -79,7 +79,7 @@ endef
 	$(call install,learning,torch==2.13.0)
 
 .venv/test.installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(call install,learning$(comma)development,torch==2.13.0)
+	$(call install,learning$(comma)tracker$(comma)development,torch==2.13.0)
 	touch .venv/demo.installed
 
 .venv/kernels.compiled: $(KERNELS) | .venv/bin/python

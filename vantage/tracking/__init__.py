@@ -1,0 +1,1 @@
+"""From camera frames to poses, layout, depth and colour: pure, no devices, no bus."""
