@@ -1,1 +1,1 @@
-"""What is said between the driver and a robot on a serial line."""
+"""The line protocol between the driver and a robot with two driven wheels, over a serial line."""
