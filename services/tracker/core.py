@@ -1,0 +1,286 @@
+"""Real cameras as a pure core: overhead frames to tracks and layout; frames after each motion to the step's poses and pictures.
+
+A frame comes from a device of this process (`Captured`) or from the bus (`Arrived`), to the core it is the same.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas import ROBOTS, Box, ColorImage, DepthImage, Episode, Layout, Message, Motion, Track
+from services.tracker.capture import Picture, RawFrame, StepCapture
+from services.tracker.declaration import DECLARATION
+from services.tracker.watch import PATIENCE_AT_REST, CameraWatch
+from vantage.service import SECOND, Arrived, Captured, Publish, Received, Send, StepJoin, Unexpected
+from vantage.tracking.calibration import Calibration
+from vantage.tracking.overhead import OverheadTracker, TrackState
+from vantage.tracking.rgbd import RgbdCalibration, RgbdPreparer
+from vantage.tracking.table import Table
+
+CHECK_PERIOD = SECOND // 4
+LAYOUT_PERIOD = 2 * SECOND
+"""While robots drive to their starts the layout is said again and again: each time renews the referee's patience."""
+MOVED = 0.010
+TURNED = math.radians(4.0)
+"""A box is news when it is seen this far from where it was published, m and rad; less is the camera's noise."""
+
+OVERHEAD = "overhead camera"
+CALIBRATION = "calibration"
+"""Names of devices; the robots' are `hider camera` and `seeker camera`."""
+
+
+class Calibrated(NamedTuple):
+    """The table and its cameras, as the set-up measured them."""
+
+    table: Table
+    overhead: Calibration
+    robots: dict[str, RgbdCalibration]
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """Pictures for the players, and how long cameras may be silent."""
+
+    width: int = 160
+    """of the published pictures, pixels"""
+    height: int = 120
+    """of the published pictures, pixels"""
+    camera_patience: float = 1.0
+    """Seconds without a frame, or without a robot's tag in it, after which health names the camera in a running game."""
+
+
+class TrackerCore:
+    """See module."""
+
+    declaration = DECLARATION
+
+    def __init__(self, calibrated: Calibrated, settings: TrackerSettings | None = None) -> None:
+        self._settings = settings or TrackerSettings()
+        self.trouble = ""
+        self._episode: Episode | None = None
+        self._step = 0
+        self._motions = StepJoin(tuple(f"{robot}/motion" for robot in ROBOTS))
+        self._capture: StepCapture | None = None
+        self._failure = ""
+        self._boxes: tuple[Box, ...] | None = None
+        self._published: Layout | None = None
+        self._layout_due: int | None = None
+        self._tracks: tuple[int, dict[str, TrackState | None]] = (0, {})
+        self._frames: dict[str, RawFrame] = {}
+        self._halves: dict[str, dict[type[Message], Any]] = {robot: {} for robot in ROBOTS}
+        self._cameras = CameraWatch((OVERHEAD, *(f"{robot} camera" for robot in ROBOTS)), "no frame")
+        self._troubles_seen: tuple[str, ...] = ()
+        self._calibration_trouble = ""
+        self._check_at = 0
+        self._calibrate(calibrated)
+
+    def _calibrate(self, calibrated: Calibrated) -> None:
+        self._calibrated = calibrated
+        self._overhead = OverheadTracker(calibrated.table, calibrated.overhead)
+        tags = calibrated.table.robots
+        self._tag_names: dict[str, str] = {robot: f"{robot}'s tag {tags[robot].id}" for robot in ROBOTS}
+        self._tags = CameraWatch(self._tag_names.values(), "not seen from above")
+        size = (self._settings.width, self._settings.height)
+        self._preparers: dict[str, RgbdPreparer] = {robot: RgbdPreparer(calibrated.robots[robot], *size) for robot in ROBOTS}
+        self._calibration_trouble = ""
+
+    def wake_at(self) -> int | None:
+        return self._check_at
+
+    def step(self, received: Received, now: int) -> Sequence[Send]:
+        if isinstance(received, Arrived):
+            return self._on_message(received.key, received.message, now)
+        if isinstance(received, Captured):
+            return self._on_captured(received, now)
+        return self._on_time(now)
+
+    def _on_message(self, key: str, message: Message, now: int) -> Sequence[Send]:
+        robot = key.partition("/")[0]
+        if isinstance(message, Episode):
+            return self._on_episode(message, now)
+        if isinstance(message, Motion):
+            return self._on_motion(key, message, now)
+        if isinstance(message, DepthImage):
+            return self._on_half(robot, message, _depth_of(message), now)
+        if isinstance(message, ColorImage):
+            if key == "overhead/color":
+                return self._on_overhead(_color_of(message), message.stamp, now)
+            return self._on_half(robot, message, _color_of(message), now)
+        return ()
+
+    def _on_captured(self, captured: Captured, now: int) -> Sequence[Send]:
+        name = captured.device
+        if name == CALIBRATION:
+            if captured.value is None:
+                self._calibration_trouble = captured.error
+            else:
+                self._calibrate(captured.value)
+            return ()
+        if captured.value is None:
+            self._cameras.lost(name, captured.error)
+            self._say_trouble(now)
+            return ()
+        if name == OVERHEAD:
+            return self._on_overhead(captured.value, captured.stamp, now)
+        depth, color = captured.value
+        return self._on_frame(name.partition(" ")[0], RawFrame(captured.stamp, depth, color), now)
+
+    def _on_half(self, robot: str, message: Message, array: Any, now: int) -> Sequence[Send]:
+        """Depth and colour of one capture travel apart: they belong together by their stamp, whatever order they come in."""
+        halves = self._halves[robot]
+        halves[type(message)] = (message.stamp, array)
+        if len(halves) < 2 or halves[DepthImage][0] != halves[ColorImage][0]:
+            return ()
+        return self._on_frame(robot, RawFrame(message.stamp, halves[DepthImage][1], halves[ColorImage][1]), now)
+
+    def _on_episode(self, episode: Episode, now: int) -> Sequence[Send]:
+        known = self._episode is not None and self._episode.episode == episode.episode
+        if episode.phase in ("ended", "aborted"):
+            if known:
+                self._episode, self._capture, self._layout_due, self._failure = None, None, None, ""
+            return ()
+        if known and episode.phase == "running":
+            return ()
+        # A set-up, or a running game that this process, started again, has not heard of.
+        self._episode = episode
+        self._step, self._capture, self._failure = 0, None, ""
+        self._layout_due = now
+        sends = list(self._say_layout(now))
+        motions = self._motions.begin(episode.episode)
+        return [*sends, *self._begin_capture(motions, now)] if motions is not None else sends
+
+    def _on_motion(self, key: str, motion: Motion, now: int) -> Sequence[Send]:
+        motions = self._motions.add(key, motion)
+        return () if motions is None else self._begin_capture(motions, now)
+
+    def _begin_capture(self, motions: tuple[Message, ...], now: int) -> Sequence[Send]:
+        if self._episode is None:
+            raise Unexpected(f"motions of episode {motions[0].episode}, which is over")
+        self._step = motions[0].step
+        failed = [
+            f"{robot} {motion.result}{': ' * bool(motion.reason)}{motion.reason}"
+            for robot, motion in zip(ROBOTS, motions, strict=True)
+            if isinstance(motion, Motion) and motion.result in ("stopped", "lost")
+        ]
+        if failed:
+            self._capture, self._failure = None, f"no step {self._step}: {', '.join(failed)}"
+            self._say_trouble(now)
+            return ()
+        capture = StepCapture(self._episode.episode, self._step, max(motion.stamp for motion in motions))
+        self._capture = capture
+        # A frame taken since may have overtaken the reports.
+        stamp, tracks = self._tracks
+        capture.see(tracks, stamp)
+        for robot, frame in self._frames.items():
+            self._offer(robot, frame)
+        return self._finish_capture()
+
+    def _on_overhead(self, picture: npt.NDArray[np.uint8], stamp: int, now: int) -> Sequence[Send]:
+        self._cameras.there(OVERHEAD, now)
+        observation = self._overhead.observe(picture, stamp)
+        self._troubles_seen = observation.troubles
+        self._tracks = (stamp, dict(observation.tracks))
+        place = {"episode": self._episode.episode if self._episode else 0, "step": self._step if self._episode else 0}
+        sends: list[Send] = []
+        for robot, track in observation.tracks.items():
+            if track is None:
+                continue
+            if track.seen:
+                self._tags.there(self._tag_names[robot], now)
+            sends.append(Publish(f"{robot}/track", _message_of(track, place)))
+        self._boxes = observation.boxes
+        if self._published is None or have_moved(self._published.obstacles, observation.boxes):
+            sends.extend(self._say_layout(now))
+        if self._capture is not None:
+            self._capture.see(observation.tracks, stamp)
+            sends.extend(self._finish_capture())
+        return sends
+
+    def _on_frame(self, robot: str, frame: RawFrame, now: int) -> Sequence[Send]:
+        self._cameras.there(f"{robot} camera", now)
+        self._frames[robot] = frame
+        self._offer(robot, frame)
+        return self._finish_capture()
+
+    def _offer(self, robot: str, frame: RawFrame) -> None:
+        if self._capture is not None and self._capture.wants(robot, frame.stamp):
+            self._capture.look(robot, Picture(frame.stamp, *self._preparers[robot].prepare(frame.depth, frame.color)))
+
+    def _finish_capture(self) -> Sequence[Send]:
+        if self._capture is None or not self._capture.complete:
+            return ()
+        messages = self._capture.messages()
+        self._capture = None
+        self._layout_due = None  # the robots have arrived
+        return messages
+
+    def _say_layout(self, now: int) -> Sequence[Send]:
+        if self._layout_due is not None:
+            self._layout_due = now + LAYOUT_PERIOD
+        if self._boxes is None or not self._cameras.is_fresh(OVERHEAD, now, self._settings.camera_patience):
+            return ()
+        table = self._calibrated.table
+        episode = self._episode.episode if self._episode else 0
+        stamp = self._tracks[0]
+        if self._published is not None and not have_moved(self._published.obstacles, self._boxes):
+            boxes = self._published.obstacles  # word for word the same, so that nobody plans anew for the camera's noise
+        else:
+            boxes = self._boxes
+        self._published = Layout(stamp=stamp, episode=episode, width=table.width, depth=table.depth, obstacles=boxes)
+        return (Publish("layout", self._published),)
+
+    def _on_time(self, now: int) -> Sequence[Send]:
+        if now < self._check_at:
+            return ()
+        self._check_at = now + CHECK_PERIOD
+        self._say_trouble(now)
+        return self._say_layout(now) if self._layout_due is not None and now >= self._layout_due else ()
+
+    def _say_trouble(self, now: int) -> None:
+        patience = self._settings.camera_patience if self._episode is not None else PATIENCE_AT_REST
+        troubles = [self._calibration_trouble, self._failure, *self._cameras.troubles(now, patience)]
+        if self._cameras.is_fresh(OVERHEAD, now, patience):
+            troubles += [*self._tags.troubles(now, patience), *self._troubles_seen]
+        self.trouble = "; ".join(dict.fromkeys(trouble for trouble in troubles if trouble))
+
+
+def have_moved(before: Sequence[Box], after: Sequence[Box]) -> bool:
+    """Whether boxes came, went, or stand noticeably elsewhere: each is compared with the nearest one of before."""
+    if len(before) != len(after):
+        return True
+    for box in after:
+        nearest = min(before, key=lambda other: math.hypot(other.x - box.x, other.y - box.y))
+        turned = math.remainder(box.heading - nearest.heading, math.tau)
+        if math.hypot(nearest.x - box.x, nearest.y - box.y) > MOVED or abs(turned) > TURNED:
+            return True
+    return False
+
+
+def _message_of(track: TrackState, place: dict[str, int]) -> Track:
+    return Track(
+        stamp=track.stamp,
+        episode=place["episode"],
+        step=place["step"],
+        x=track.x,
+        y=track.y,
+        heading=math.remainder(track.heading, math.tau),
+        speed_x=track.speed_x,
+        speed_y=track.speed_y,
+        turn_rate=track.turn_rate,
+        covariance=track.covariance,
+        seen=track.seen,
+    )
+
+
+def _depth_of(message: DepthImage) -> npt.NDArray[np.uint16]:
+    return np.frombuffer(message.data, "<u2").reshape(message.height, message.width)
+
+
+def _color_of(message: ColorImage) -> npt.NDArray[np.uint8]:
+    return np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)

@@ -1,0 +1,81 @@
+"""Recorded RGB-D streams as devices: a folder of frames, or a log of ours.
+
+A frame is (depth uint16 [H, W] in counts of the camera, colour uint8 [H, W, 3] RGB).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from schemas import ColorImage, DepthImage
+from services.tracker.devices import PacedFrames
+from vantage.log import read
+from vantage.service import DeviceLost
+
+RgbdFrame = tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint8]]
+
+
+class FrameFolder(PacedFrames):
+    """A folder of `NAME.npz` with the arrays `depth` and `color`, or of pairs `NAME.depth.png` (16 bit) and `NAME.color.png`."""
+
+    def frames(self) -> Iterator[RgbdFrame]:
+        paths = sorted(p for p in self._source.iterdir() if p.suffix == ".npz" or p.name.endswith(".depth.png"))
+        if not paths:
+            raise DeviceLost(f"{self.name}: {self._source} holds neither *.npz nor *.depth.png")
+        for path in paths:
+            yield self._read_arrays(path) if path.suffix == ".npz" else self._read_pair(path)
+
+    def _read_arrays(self, path: Path) -> RgbdFrame:
+        try:
+            with np.load(path, allow_pickle=False) as arrays:
+                return self._checked(path, arrays["depth"], arrays["color"])
+        except (OSError, ValueError, KeyError) as error:
+            raise DeviceLost(f"{self.name}: {path} does not hold the arrays depth and color: {error}") from error
+
+    def _read_pair(self, path: Path) -> RgbdFrame:
+        depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+        color = cv2.imread(str(path).removesuffix(".depth.png") + ".color.png", cv2.IMREAD_COLOR)
+        if depth is None or color is None:
+            raise DeviceLost(f"{self.name}: {path} or the .color.png beside it cannot be read")
+        return self._checked(path, depth, cv2.cvtColor(color, cv2.COLOR_BGR2RGB))
+
+    def _checked(self, path: Path, depth: npt.NDArray[np.generic], color: npt.NDArray[np.generic]) -> RgbdFrame:
+        if depth.dtype != np.uint16 or depth.ndim != 2 or color.dtype != np.uint8 or color.shape[2:] != (3,):
+            raise DeviceLost(f"{self.name}: {path} must hold depth uint16 [H, W] and color uint8 [H, W, 3]")
+        return depth.astype(np.uint16, copy=False), color.astype(np.uint8, copy=False)
+
+
+class LoggedFrames(PacedFrames):
+    """A robot's pictures out of an MCAP log: raw frames where it has them, else the pictures of the steps.
+
+    Step pictures are level and registered already: they need a calibration that says so.
+    """
+
+    def __init__(self, name: str, source: Path, rate: float, robot: str) -> None:
+        super().__init__(name, source, rate)
+        self._robot = robot
+
+    def frames(self) -> Iterator[RgbdFrame]:
+        found = False
+        for part in ("/camera", ""):
+            keys = (f"{self._robot}{part}/depth", f"{self._robot}{part}/color")
+            halves: dict[str, DepthImage | ColorImage] = {}
+            for record in read(self._source, keys):
+                message = record.decode()
+                assert isinstance(message, DepthImage | ColorImage)
+                halves[record.key] = message
+                depth, color = halves.get(keys[0]), halves.get(keys[1])
+                if depth is not None and color is not None and depth.stamp == color.stamp:
+                    found = True
+                    yield (
+                        np.frombuffer(depth.data, "<u2").reshape(depth.height, depth.width),
+                        np.frombuffer(color.data, np.uint8).reshape(color.height, color.width, 3),
+                    )
+            if found:
+                return
+        raise DeviceLost(f"{self.name}: {self._source} holds no depth and colour pictures of the {self._robot}")
