@@ -20,7 +20,8 @@ import numpy.typing as npt
 
 from schemas import Intrinsics
 from vantage.tracking.colors import ColorCorrection
-from vantage.tracking.rgbd_lens import Lens, lens_of
+from vantage.tracking.rgbd_kernels import gather, level, register
+from vantage.tracking.rgbd_lens import Lens, lens_of, pixel_rays
 from vantage.world.arena import MOUNT_HEIGHT
 
 Bytes = npt.NDArray[np.uint8]
@@ -29,6 +30,13 @@ Depths = npt.NDArray[np.uint16]
 PUBLISHED_WIDTH = 160
 PUBLISHED_HEIGHT = 120
 PUBLISHED_FOV = math.radians(86.0)
+
+_FINEST = 0.75
+"""Published pixels per camera pixel, at most: beyond, the forward projection would leave pixels without a sample."""
+_STRETCH = 1.25
+"""Room for slanted surfaces where the colour lens is finer than the depth lens."""
+_FEWEST_SHARE = 0.125
+"""Share of a published pixel's nominal samples below which it is a hole: single samples at an edge are flying pixels."""
 
 Turn = tuple[float, float, float, float, float, float, float, float, float]
 Shift = tuple[float, float, float]
@@ -79,7 +87,37 @@ def default_rgbd() -> RgbdCalibration:
 
 def load_rgbd(path: Path) -> RgbdCalibration:
     """Read and check a calibration. Raises UnusableRgbdCalibration."""
-    raise NotImplementedError
+    try:
+        calibration = msgspec.json.decode(path.read_bytes(), type=RgbdCalibration)
+    except OSError as error:
+        raise UnusableRgbdCalibration(f"{path}: {error.strerror}; calibrate the camera (`vantage table calibrate`)") from None
+    except msgspec.DecodeError as error:
+        raise UnusableRgbdCalibration(f"{path}: {error}; correct it or calibrate the camera again") from None
+    try:
+        check_rgbd(calibration)
+    except UnusableRgbdCalibration as error:
+        raise UnusableRgbdCalibration(f"{path}: {error}") from None
+    return calibration
+
+
+def check_rgbd(calibration: RgbdCalibration) -> None:
+    """Raise UnusableRgbdCalibration where no such camera can be."""
+    numbers = (*calibration.rotation, *calibration.translation, *calibration.depth.distortion, *calibration.color.distortion)
+    if not all(map(math.isfinite, numbers)):
+        raise UnusableRgbdCalibration("holds a number that is not finite; calibrate the camera again")
+    rotation = np.array(calibration.rotation).reshape(3, 3)
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3) or np.linalg.det(rotation) < 0.0:
+        raise UnusableRgbdCalibration("depth-to-colour rotation is no rotation; calibrate the camera again")
+    if rotation[2, 2] < math.cos(math.radians(30.0)):
+        raise UnusableRgbdCalibration("depth and colour lens look more than 30 degrees apart; calibrate the camera again")
+    apart = math.hypot(*calibration.translation)
+    if apart > 0.15:
+        raise UnusableRgbdCalibration(f"depth and colour lens are {apart:.3f} m apart, more than any camera; is a unit wrong?")
+    for name, lens in (("depth", calibration.depth), ("colour", calibration.color)):
+        try:
+            pixel_rays(lens)
+        except ValueError as error:
+            raise UnusableRgbdCalibration(f"{name} lens: {error}") from None
 
 
 def save_rgbd(calibration: RgbdCalibration, path: Path) -> None:
@@ -97,7 +135,66 @@ class RgbdPreparer:
     """`prepare` for one camera: tables and buffers are made once."""
 
     def __init__(self, calibration: RgbdCalibration, width: int = PUBLISHED_WIDTH, height: int = PUBLISHED_HEIGHT) -> None:
+        """Raises UnusableRgbdCalibration, also where the published picture has more pixels across than the camera resolves."""
+        check_rgbd(calibration)
+        self.calibration = calibration
         self.intrinsics = published_intrinsics(calibration, width, height)
+        depth_lens, color_lens = calibration.depth, calibration.color
+        if self.intrinsics.fx > _FINEST * min(depth_lens.fx, depth_lens.fy, color_lens.fx, color_lens.fy):
+            raise UnusableRgbdCalibration(
+                f"{width} published columns are finer than the camera's {depth_lens.width} x {depth_lens.height} depth and "
+                f"{color_lens.width} x {color_lens.height} colour pixels; publish at most half as many columns as the camera has"
+            )
+        rotation = np.array(calibration.rotation, dtype=np.float64).reshape(3, 3)
+        shift = np.array(calibration.translation, dtype=np.float64)
+        to_level = level_rotation(calibration.tilt) @ rotation.T
+        origin = np.array([-calibration.left, 0.0, calibration.forward]) - to_level @ shift
+        self._shift = tuple(map(float, shift))
+        self._origin = tuple(map(float, origin))
+        self._depth_rays = _rotated_rays(depth_lens, rotation)
+        color_rays = pixel_rays(color_lens)
+        self._level_rays = _rotated_rays(color_lens, to_level).reshape(-1, 3)
+        self._largest_square = 1.2 * float(np.max(np.sum(np.square(color_rays), axis=-1)))
+        self._distortion = np.array(color_lens.distortion, dtype=np.float32)
+        stretch = max(color_lens.fx / depth_lens.fx, color_lens.fy / depth_lens.fy)
+        self._footprint = _STRETCH * stretch if stretch > 1.0 else 1.0
+        density = (color_lens.fx * color_lens.fy) / (self.intrinsics.fx * self.intrinsics.fy)
+        self._fewest = max(1, int(_FEWEST_SHARE * density))
+        self._matrix = np.array(calibration.correction.matrix, dtype=np.float32).reshape(3, 3)
+        self._offset = np.array(calibration.correction.offset, dtype=np.float32)
+        pixels, cells = color_lens.width * color_lens.height, width * height
+        self._registered = np.zeros((color_lens.height, color_lens.width), np.float32)
+        self._cells = np.empty(pixels, np.int32)
+        self._depths = np.empty(pixels, np.float32)
+        self._order = np.empty(pixels, np.int32)
+        self._starts = np.empty(cells + 1, np.int32)
+        self._ends = np.empty(cells, np.int32)
+        self._sorted = np.empty(256, np.float32)
+        self._depth_out = np.zeros((height, width), np.uint16)
+        self._color_out = np.zeros((height, width, 3), np.uint8)
+
+    def register(self, depth: Depths) -> npt.NDArray[np.float32]:
+        """Depth in the colour lens's picture: uint16 [H, W] counts -> float32 [Hc, Wc] m along its axis, 0 = none; reused."""
+        lens = self.calibration.depth
+        require_picture("depth", depth, np.uint16, (lens.height, lens.width))
+        color = self.calibration.color
+        register(
+            depth,
+            self._depth_rays,
+            *self._shift,
+            color.fx,
+            color.fy,
+            color.cx,
+            color.cy,
+            self._distortion,
+            any(color.distortion),
+            self._largest_square,
+            self._footprint,
+            self.calibration.depth_unit,
+            self.calibration.nearest,
+            self._registered,
+        )
+        return self._registered
 
     def prepare(self, depth: Depths, color: Bytes) -> tuple[Depths, Bytes, Intrinsics]:
         """depth uint16 [H, W] counts, color uint8 [H, W, 3] RGB -> depth uint16 [h, w] mm, color uint8 [h, w, 3], intrinsics.
@@ -105,7 +202,66 @@ class RgbdPreparer:
         The arrays returned are the preparer's own and overwritten by the next call. Raises ValueError where the pictures do
         not fit the calibration.
         """
-        raise NotImplementedError
+        lens = self.calibration.color
+        require_picture("colour", color, np.uint8, (lens.height, lens.width, 3))
+        registered = self.register(depth)
+        pinhole = self.intrinsics
+        rows, columns = self._depth_out.shape
+        most = level(
+            registered.reshape(-1),
+            self._level_rays,
+            *self._origin,
+            pinhole.fx,
+            pinhole.fy,
+            pinhole.cx,
+            pinhole.cy,
+            rows,
+            columns,
+            self._cells,
+            self._depths,
+            self._starts,
+        )
+        if most > self._sorted.shape[0]:
+            self._sorted = np.empty(2 * most, np.float32)
+        gather(
+            self._cells,
+            self._depths,
+            color.reshape(-1, 3),
+            self._starts,
+            self._ends,
+            self._order,
+            self._sorted,
+            self._fewest,
+            self._matrix,
+            self._offset,
+            self._depth_out.reshape(-1),
+            self._color_out.reshape(-1, 3),
+        )
+        return self._depth_out, self._color_out, self.intrinsics
+
+
+def level_rotation(tilt: float) -> npt.NDArray[np.float64]:
+    """From the frame of a camera that looks down by `tilt` rad to the level frame, float64 [3, 3]."""
+    cosine, sine = math.cos(tilt), math.sin(tilt)
+    return np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
+
+
+def _rotated_rays(lens: Lens, rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
+    """Directions of a lens's pixels with z = 1 before the rotation: float32 [H, W, 3]."""
+    slopes = pixel_rays(lens)
+    rays = np.concatenate((slopes, np.ones((lens.height, lens.width, 1))), axis=-1)
+    return np.ascontiguousarray((rays @ rotation.T).astype(np.float32))
+
+
+def require_picture(name: str, picture: npt.NDArray[np.generic], kind: type[np.generic], shape: tuple[int, ...]) -> None:
+    """Raise ValueError unless a picture has this dtype, this shape and C order."""
+    if picture.dtype != kind or picture.shape != shape:
+        raise ValueError(
+            f"the {name} picture must be {np.dtype(kind)} {list(shape)} as in the calibration, got {picture.dtype} "
+            f"{list(picture.shape)}: set the camera to the calibrated resolution or calibrate it anew"
+        )
+    if not picture.flags.c_contiguous:
+        raise ValueError(f"the {name} picture must lie in C order; pass np.ascontiguousarray(picture)")
 
 
 def prepare(

@@ -38,7 +38,7 @@ class Lens(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
 
 
 def lens_of(width: int, height: int, horizontal_fov: float) -> Lens:
-    """A lens without distortion, square pixels, its axis through the picture's middle; `horizontal_fov` rad between outer edges."""
+    """An undistorted lens with square pixels and its axis through the middle; `horizontal_fov` in rad, between outer edges."""
     focal = width / (2.0 * math.tan(horizontal_fov / 2.0))
     return Lens(width=width, height=height, fx=focal, fy=focal, cx=(width - 1) / 2.0, cy=(height - 1) / 2.0)
 
