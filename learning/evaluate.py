@@ -15,7 +15,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from learning.accuracy.examples import STARTS, Start, blind_logits, draw_examples, frequency_logits
 from learning.accuracy.page import fewer, page_of, table_of
-from learning.accuracy.report import CLOCK, MAJORITY, ORACLE, judged, without_nan
+from learning.accuracy.report import CLOCK, MAJORITY, ORACLE, VIEW_ORACLE, judged, without_nan
 from learning.dataset import Dataset, Samples
 from learning.methods.machine import Machine
 from learning.methods.method import Method
@@ -46,9 +46,10 @@ class EvaluateSettings:
     starts: tuple[Start, ...] = STARTS
     """`uniform`: t0 is any step before the catch, as in the paper. `first`: t0 = 0, as the planner asks."""
     oracle: int = 0
-    """Simulations of the Monte Carlo oracle, which knows the true state and policies: the ceiling. 0 = none."""
+    """Simulations of the Monte Carlo oracles: one knows the true state and policies, the other (t0 = 0, layout `random`) only
+    what the hider's view tells of the arena: the ceilings. 0 = none."""
     oracle_samples: int = 1000
-    """The oracle judges the first so many examples of each set."""
+    """The oracles judge the first so many examples of each set."""
     ablations: bool = False
     """Also VPN on true views, and the VPN that learnt from true views (vpn-on-true.safetensors) on predictions."""
     to: Path | None = Path("runs/evaluation")
@@ -89,6 +90,8 @@ def main(settings: EvaluateSettings) -> int:
                 asked = examples.part(0, min(settings.oracle_samples, len(examples)))
                 try:
                     logits[ORACLE] = consult_oracle(data, asked, settings.oracle, settings.threads, console)
+                    if start == "first" and data.manifest["layouts"] == ["random"]:
+                        logits[VIEW_ORACLE] = consult_view_oracle(data, asked, settings.oracle, settings.threads, console)
                 except ValueError as error:
                     warnings += [line for line in [f"no oracle: {error}"] if line not in warnings]
             for count in settings.samples:
@@ -153,6 +156,29 @@ def consult_oracle(data: Dataset, examples: Samples, simulations: int, threads: 
     with _progress(console) as progress:
         task = progress.add_task(ORACLE, total=len(examples))
         caught = oracle_catch_steps(data, examples, simulations, threads, lambda done: progress.advance(task, done))
+    return _share_caught(caught, examples, simulations)
+
+
+def consult_view_oracle(
+    data: Dataset, examples: Samples, simulations: int, threads: int, console: Console
+) -> NDArray[np.float32]:
+    """Return the logits [B] of how many games end in a catch by the horizon that begin with the hider's view, in arenas drawn
+    from all that look the same.
+
+    Raises:
+        ValueError: some of the games cannot be played so.
+    """
+    from learning.roll_outs import imagined_catch_steps
+
+    with _progress(console) as progress:
+        task = progress.add_task(VIEW_ORACLE, total=len(examples))
+        caught, same = imagined_catch_steps(data, examples, simulations, threads, lambda done: progress.advance(task, done))
+    if same:
+        console.print(f"{VIEW_ORACLE}: no other arena found in {100 * same:.1f} % of the simulations, the true one was taken")
+    return _share_caught(caught, examples, simulations)
+
+
+def _share_caught(caught: NDArray[np.int32], examples: Samples, simulations: int) -> NDArray[np.float32]:
     by_horizon = (caught >= 0) & (caught <= (examples.start + examples.horizon)[:, None])  # [B, simulations]
     return frequency_logits(by_horizon.mean(axis=1), simulations)
 

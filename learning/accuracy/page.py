@@ -7,7 +7,7 @@ from typing import Any
 from rich.box import SIMPLE
 from rich.table import Table
 
-from learning.accuracy.report import CLOCK, ORACLE
+from learning.accuracy.report import CLOCK, ORACLE, VIEW_ORACLE
 from learning.provenance import in_one_line
 
 PAPER_LIMIT = 200
@@ -60,7 +60,8 @@ def page_of(report: dict[str, Any]) -> str:
         "",
         "All figures in %, but for AUROC and log loss. Intervals: 95 %, whole games drawn again (examples of one game share its",
         f"catch). *{CLOCK}* is the best predictor that knows nothing but how far ahead it is asked, fitted on training games;",
-        f"*over clock* is the paired difference to it. *{ORACLE}* plays the game on from its true state with the true policies.",
+        f"*over clock* is the paired difference to it. *{ORACLE}* plays the game on from its true state with the true policies;",
+        f"*{VIEW_ORACLE}* plays it in arenas drawn from all that look the same to the hider at the start.",
         "The paper's figures are from its Table I (its own game and seeker).",
         "",
         *(f"* {line}" for line in (*report["warnings"], *report["left out"])),

@@ -14,6 +14,9 @@ from learning.measures import accuracy, area_under_roc, balanced_accuracy, boots
 CLOCK = "horizon only"
 MAJORITY = "majority class"
 ORACLE = "oracle"
+"""Plays games on from their true state."""
+VIEW_ORACLE = "view oracle"
+"""Plays games on in all arenas that look the same to the hider: what can be known from its view."""
 REFERENCES = (CLOCK, "vpt-tob")
 """What every method is compared with, example by example."""
 BIN = 20

@@ -16,6 +16,7 @@ from learning.accuracy.report import CLOCK
 from learning.figures.charts import headline, known
 from learning.figures.style import title_of
 from learning.reproduce import tables
+from learning.reproduce.ceiling import what_can_be_known
 from learning.reproduce.stages import EXPERIMENTS
 from learning.reproduce.tables import Findings, Json, interval, markdown, percent
 from learning.reproduce.targets import target_table, wall
@@ -119,6 +120,7 @@ def _table_one(found: Findings) -> list[str]:
                 for name, one in set_["methods"].items()
             ]
             lines += [f"At T = {limit}:", "", *markdown(["", "accuracy, % [95 %]", "over horizon only, points"], rows), ""]
+    lines += what_can_be_known(found)
     return [*lines, *_figure(found, "accuracy-over-horizon.png"), *_figure(found, "reliability.png"), *_from(found, "accuracy")]
 
 

@@ -15,7 +15,7 @@ from learning.figures.charts import headline, known
 from learning.figures.style import title_of
 from learning.methods.table import METHODS
 from learning.value_maps.page import PAPER as PAPER_RANKING
-from learning.value_maps.report import ANOTHER, ONE_SIMULATION
+from learning.value_maps.report import ANOTHER, ONE_SIMULATION, VIEW_ORACLE_MAP
 
 Json = dict[str, Any]
 
@@ -242,7 +242,7 @@ def played(report: Json) -> list[str]:
 
 
 def best_tie_free(report: Json, method: str) -> Json | None:
-    """Return the tie-free relative ranking accuracy of a method's summed probabilities, or of `another simulation`."""
+    """Return the tie-free relative ranking accuracy of a method's summed probabilities, or of what simulation says."""
     ranking = report["ranking"][str(report["horizons"][0])][ONE_SIMULATION]
-    found = ranking.get(method if method == ANOTHER else f"{method}, expected")
+    found = ranking.get(method if method in (ANOTHER, VIEW_ORACLE_MAP) else f"{method}, expected")
     return None if found is None else found["without_ties"]

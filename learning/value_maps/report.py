@@ -20,6 +20,8 @@ from services.planner.value_map import choose_goal
 COMPARED = ("with_ties", "without_ties", "ties_half", "tau_b")
 ONE_SIMULATION = "one simulation"
 ANOTHER = "another simulation"
+VIEW_ORACLE_MAP = "view oracle"
+"""The mean over arenas that look the same to the hider: the ceiling of what its view tells."""
 ROUNDED = "rounded"
 
 Maps = dict[str, NDArray[np.float64]]
@@ -64,11 +66,29 @@ def ground_truths(cases: Sequence[Case], horizons: Sequence[int]) -> Maps:
 
 
 def references(cases: Sequence[Case], horizons: Sequence[int], truth: str) -> Maps:
-    """Return what simulation says that has nothing in common with a ground truth but the start: the ceiling."""
+    """Return what simulation says that has nothing in common with a ground truth but the start, or the hider's view of it: the
+    ceilings."""
     truths = ground_truths(cases, horizons)
     if truth == ONE_SIMULATION:
-        return {ANOTHER: simulated_maps(cases, horizons, slice(1, 2)), **{k: v for k, v in truths.items() if k != truth}}
-    return {ANOTHER: truths[ONE_SIMULATION]}
+        found = {ANOTHER: simulated_maps(cases, horizons, slice(1, 2)), **{k: v for k, v in truths.items() if k != truth}}
+    else:
+        found = {ANOTHER: truths[ONE_SIMULATION]}
+    return found | imagined_maps(cases, horizons)
+
+
+def imagined_maps(cases: Sequence[Case], horizons: Sequence[int]) -> Maps:
+    """Return the mean V [S, H, 121] over the arenas that look the same to the hider, under the name `VIEW_ORACLE_MAP`; nothing
+    where they were not simulated."""
+    if not cases[0].imagined.shape[1]:
+        return {}
+    return {
+        VIEW_ORACLE_MAP: np.stack(
+            [
+                np.stack([on_grid(case.goals, counted(case.imagined, horizon).mean(axis=1)) for horizon in horizons])
+                for case in cases
+            ]
+        )
+    }
 
 
 def reference_of(name: str, against: str) -> str:
@@ -147,7 +167,7 @@ def played(cases: Sequence[Case], horizons: Sequence[int], maps: Maps, against: 
     """Return horizon -> who chose the goal -> outcome -> summary over starts, with the difference to the goal that `against`
     chooses by its probabilities, paired by start.
     """
-    choosers = {**maps, ANOTHER: simulated_maps(cases, horizons, slice(0, 1))}
+    choosers = {**maps, ANOTHER: simulated_maps(cases, horizons, slice(0, 1)), **imagined_maps(cases, horizons)}
     found: dict[str, Any] = {}
     for h, horizon in enumerate(horizons):
         games = [play(case, {name: each[s, h] for name, each in choosers.items()}, horizon) for s, case in enumerate(cases)]

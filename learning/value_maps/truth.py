@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from learning.roll_outs.outcomes import catch_steps, simulation_seeds
 from learning.roll_outs.start import first_view, goal_paths, start_of
+from learning.roll_outs.unseen import imagined_goal_steps
 from learning.splits import SPLITS, split_of
 from schemas import Rules
 from services.planner.value_map import checkpoints
@@ -42,6 +43,7 @@ class Case:
         paths: float32 [G, L + 1, 3], L = T or PLAN_STEPS if that is more: planned x, y (m), heading (rad).
         caught: int32 [G, 1 + N], the step of the catch, -1 = survived T steps. Column 0: the simulation with the episode's own
             seed (the paper's ground truth); then N with other seeds.
+        imagined: int32 [G, M], the same in M arenas that look the same to the hider (layout `random`; else M = 0).
     """
 
     seed: int
@@ -53,6 +55,7 @@ class Case:
     free: NDArray[np.bool_]
     paths: NDArray[np.float32]
     caught: NDArray[np.int32]
+    imagined: NDArray[np.int32]
 
     @property
     def hider(self) -> tuple[float, float]:
@@ -77,6 +80,7 @@ def play_out(episode_seed: int, rules: Rules, seeker: str, simulations: int) -> 
     seen = first_view(start)
     goals, paths = goal_paths(start, max(rules.maximum_steps, PLAN_STEPS))
     seeds = np.concatenate([[episode_seed], simulation_seeds(episode_seed, simulations)])
+    others = simulation_seeds(episode_seed, simulations if rules.layout == "random" else 0)
     free = [is_free(start.boxes, ARENA_SIZE, ARENA_SIZE, x, y, ROBOT_RADIUS) for x, y in GOALS[goals].tolist()]
     return Case(
         episode_seed,
@@ -88,6 +92,7 @@ def play_out(episode_seed: int, rules: Rules, seeker: str, simulations: int) -> 
         np.array(free, np.bool_),
         paths.astype(np.float32),
         catch_steps(start, goals, seeds, seeker, rules.maximum_steps),
+        imagined_goal_steps(start, goals, others, seeker, rules.maximum_steps),
     )
 
 

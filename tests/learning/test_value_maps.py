@@ -153,7 +153,7 @@ def made_up_case(caught: NDArray[np.int32], goals: NDArray[np.int64], seed: int 
     poses = np.array([[*hider, 0.0], [0.5, 0.15, 18.0]])
     view = np.full((128, 128), seed % 5, np.uint8)
     free = np.arange(len(goals)) % 3 > 0
-    return Case(seed, np.empty((0, 7)), poses, view, (0.5, 0.15), goals, free, paths, caught)
+    return Case(seed, np.empty((0, 7)), poses, view, (0.5, 0.15), goals, free, paths, caught, caught[:, :0])
 
 
 GOAL_NUMBERS = np.array([0, 5, 10, 60, 110, 115, 120], np.int64)

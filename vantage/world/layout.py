@@ -96,31 +96,41 @@ def box_gap(boxes: Floats, first: int, second: int) -> float:
 
 
 @kernel
+def propose_box(seed: int, attempt: int, index: int, width: float, depth: float, boxes_out: Floats) -> float:
+    """Draw one box of the layout `random`, far enough from every wall, into row `index` of float64 [n, 7]; return its
+    heading, rad.
+
+    Whether it is far enough from other boxes is for the caller to check.
+    """
+    span = RANDOM_HALF_SIDE_MAXIMUM - RANDOM_HALF_SIDE_MINIMUM
+    draw = _DRAWS_PER_BOX * index
+    heading = math.pi * uniform(seed, LAYOUT_STREAM, attempt, draw)
+    half_width = RANDOM_HALF_SIDE_MINIMUM + span * uniform(seed, LAYOUT_STREAM, attempt, draw + 1)
+    half_depth = RANDOM_HALF_SIDE_MINIMUM + span * uniform(seed, LAYOUT_STREAM, attempt, draw + 2)
+    cosine = math.cos(heading)
+    sine = math.sin(heading)
+    reach_x = abs(cosine) * half_width + abs(sine) * half_depth + MINIMUM_GAP
+    reach_y = abs(sine) * half_width + abs(cosine) * half_depth + MINIMUM_GAP
+    boxes_out[index, 0] = reach_x + (width - 2.0 * reach_x) * uniform(seed, LAYOUT_STREAM, attempt, draw + 3)
+    boxes_out[index, 1] = reach_y + (depth - 2.0 * reach_y) * uniform(seed, LAYOUT_STREAM, attempt, draw + 4)
+    boxes_out[index, 2] = half_width
+    boxes_out[index, 3] = half_depth
+    boxes_out[index, 4] = cosine
+    boxes_out[index, 5] = sine
+    boxes_out[index, 6] = BOX_HEIGHT
+    return heading
+
+
+@kernel
 def draw_boxes(seed: int, width: float, depth: float, boxes_out: Floats, headings_out: Floats) -> bool:
     """Draw the layout `random` of a seed into float64 [n, 7] and float64 [n] (rad): all boxes anew until every gap is wide.
 
     Returns False when too many draws failed (too many boxes, or too small an arena).
     """
-    span = RANDOM_HALF_SIDE_MAXIMUM - RANDOM_HALF_SIDE_MINIMUM
     for attempt in range(RANDOM_ATTEMPTS):
         wide_enough = True
         for index in range(boxes_out.shape[0]):
-            draw = _DRAWS_PER_BOX * index
-            heading = math.pi * uniform(seed, LAYOUT_STREAM, attempt, draw)
-            half_width = RANDOM_HALF_SIDE_MINIMUM + span * uniform(seed, LAYOUT_STREAM, attempt, draw + 1)
-            half_depth = RANDOM_HALF_SIDE_MINIMUM + span * uniform(seed, LAYOUT_STREAM, attempt, draw + 2)
-            cosine = math.cos(heading)
-            sine = math.sin(heading)
-            reach_x = abs(cosine) * half_width + abs(sine) * half_depth + MINIMUM_GAP
-            reach_y = abs(sine) * half_width + abs(cosine) * half_depth + MINIMUM_GAP
-            boxes_out[index, 0] = reach_x + (width - 2.0 * reach_x) * uniform(seed, LAYOUT_STREAM, attempt, draw + 3)
-            boxes_out[index, 1] = reach_y + (depth - 2.0 * reach_y) * uniform(seed, LAYOUT_STREAM, attempt, draw + 4)
-            boxes_out[index, 2] = half_width
-            boxes_out[index, 3] = half_depth
-            boxes_out[index, 4] = cosine
-            boxes_out[index, 5] = sine
-            boxes_out[index, 6] = BOX_HEIGHT
-            headings_out[index] = heading
+            headings_out[index] = propose_box(seed, attempt, index, width, depth, boxes_out)
             for other in range(index):
                 # Boxes that cross without a corner inside stick out by at most 70 mm, less than the gap: refused too.
                 wide_enough = wide_enough and box_gap(boxes_out, index, other) >= MINIMUM_GAP
