@@ -15,6 +15,7 @@ import numba
 _ROOT = Path(__file__).resolve().parent.parent
 _ROOMS = (
     *("schemas", "vantage/world", "vantage/perception", "vantage/networks"),
+    *("vantage/tracking", "vantage/rehearsal"),
     *("services/seeker", "services/planner", "learning/hiders", "learning/roll_outs"),
 )
 
