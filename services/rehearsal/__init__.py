@@ -1,0 +1,1 @@
+"""The rehearsal: stands for a physical table, with robots that slip and lag and cameras that err."""

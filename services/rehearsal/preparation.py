@@ -1,0 +1,130 @@
+"""Before a rehearsal: the table is laid out, and its cameras are calibrated as a real table's are, from pictures alone.
+
+What the tracker is given is what the calibration found. How the cameras truly are stays here.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import msgspec
+import numpy as np
+
+from schemas import ROBOTS, Box
+from services.rehearsal.board import board_pictures
+from vantage.rehearsal.overhead_picture import OverheadLook, OverheadScene, rehearsal_camera
+from vantage.rehearsal.rgbd_picture import RgbdCamera, RgbdLook, render_rgbd
+from vantage.tracking.calibration import BoardDescription, calibrate_arena, calibrate_lens, save_calibration
+from vantage.tracking.colors import correct_colors, measure_rectangle
+from vantage.tracking.rgbd import RgbdCalibration, default_rgbd, save_rgbd
+from vantage.tracking.table import ObstacleTag, Table, default_table, save_table
+from vantage.world.arena import HIDER, SEEKER
+from vantage.world.layout import boxes_array, check_layout, make_layout
+from vantage.world.start import draw_start
+
+BOARD_PICTURES = 16
+MADE_WITH = "rehearsal"
+_FIRST_OBSTACLE_TAG = 10
+_PATCH_DISTANCE = 0.25
+"""m from a camera to what its colours are measured on."""
+_FLOOR_ROWS = 40
+"""px at the lower edge of a picture, where the floor is."""
+
+
+@dataclass(frozen=True)
+class TableSettings:
+    """What stands on the table, for as long as the rehearsal runs."""
+
+    layout: str = "lab"
+    """`lab`, `random`, or the path of a layout file: as in a game, but fixed, for boxes do not move by themselves."""
+    layout_seed: int = 1
+    """of the layout `random`, and of where the robots stand at first"""
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A table and its cameras as they truly are."""
+
+    table: Table
+    obstacles: tuple[Box, ...]
+    starts: tuple[tuple[float, float, float], tuple[float, float, float]]
+    scene: OverheadScene
+    cameras: dict[str, RgbdCamera] = field(default_factory=dict)
+
+
+def prepare_table(settings: TableSettings) -> Prepared:
+    """Lay the table out and put its cameras up.
+
+    Raises:
+        ImpossibleLayout: nobody could play on it.
+        UnusableTable: a box is too small for its tag.
+    """
+    obstacles = make_layout(settings.layout, settings.layout_seed)
+    bare = default_table()
+    check_layout(obstacles, bare.width, bare.depth)
+    tags = tuple(
+        ObstacleTag(id=_FIRST_OBSTACLE_TAG + number, half_width=box.half_width, half_depth=box.half_depth, height=box.height)
+        for number, box in enumerate(obstacles)
+    )
+    table = msgspec.structs.replace(bare, obstacles=tags)
+    hider, seeker = draw_start(boxes_array(obstacles), table.width, table.depth, settings.layout_seed, 0.25, 0.45)
+    starts = tuple((x, y, math.radians(10.0 * heading)) for x, y, heading in (hider, seeker))
+    scene = OverheadScene(table, rehearsal_camera(arena=(table.width, table.depth)), OverheadLook())
+    # Two cameras of one type differ a little in how they sit and in their colours.
+    cameras = {
+        "hider": _camera(tilt=math.radians(5.2), height=0.0804, look=RgbdLook(red_gain=0.96, blue_gain=1.05)),
+        "seeker": _camera(tilt=math.radians(4.8), height=0.0797, look=RgbdLook(green_gain=0.97, brightness=0.95)),
+    }
+    return Prepared(table, obstacles, (starts[HIDER], starts[SEEKER]), scene, cameras)
+
+
+def _camera(tilt: float, height: float, look: RgbdLook) -> RgbdCamera:
+    return RgbdCamera(msgspec.structs.replace(default_rgbd(), tilt=tilt, mount_height=height), look)
+
+
+def calibrate_and_write(prepared: Prepared, folder: Path, seed: int) -> None:
+    """Calibrate all cameras from pictures of boards, corner tags and robots, and write what the tracker reads into `folder`.
+
+    Raises:
+        CalibrationFailed, UnusableColors: the pictures do not make a calibration.
+    """
+    scene, truth = prepared.scene, rehearsal_camera(arena=(prepared.table.width, prepared.table.depth))
+    board = BoardDescription()
+    lens = calibrate_lens(list(board_pictures(truth, board, BOARD_PICTURES, seed)), board).lens
+    nobody = np.full((2, 3), np.nan)
+    today = datetime.date.today()
+    overhead = calibrate_arena(scene.render(nobody, (), seed, 0), prepared.table, lens, today, MADE_WITH)
+    robots = {robot: calibrate_rgbd(prepared.cameras[robot], seed, index) for index, robot in enumerate(ROBOTS)}
+    for robot, calibration in robots.items():
+        save_rgbd(calibration, folder / f"{robot}.json")
+    save_calibration(overhead, folder / "overhead.json")
+    save_table(prepared.table, folder / "table.json")
+
+
+def calibrate_rgbd(camera: RgbdCamera, seed: int, index: int) -> RgbdCalibration:
+    """Return what somebody finds who sets a robot's camera up: lenses as its maker measured them, height to a millimetre and tilt
+    to half a degree with ruler and spirit level, colours measured on both robots and the floor.
+    """
+    pose = (0.2, 0.6, 0.0)
+    pictures = [
+        render_rgbd(camera, boxes_array(()), pose, (pose[0] + _PATCH_DISTANCE, pose[1]), color, seed, number, index)[1]
+        for number, color in enumerate((HIDER, SEEKER))
+    ]
+    lens = camera.geometry.color
+    # The robot's middle, level with the camera and straight ahead of it.
+    column = round(lens.cx + lens.fx * camera.geometry.translation[0] / _PATCH_DISTANCE)
+    row = round(lens.cy - lens.fy * math.tan(camera.geometry.tilt))
+    hider, seeker = (measure_rectangle(picture, column - 15, row - 10, 30, 20) for picture in pictures)
+    grey = measure_rectangle(pictures[0], lens.width // 2 - 60, lens.height - _FLOOR_ROWS, 120, _FLOOR_ROWS - 5)
+    correction, _ = correct_colors(hider, seeker, grey)
+    return msgspec.structs.replace(
+        camera.geometry,
+        mount_height=round(camera.geometry.mount_height, 3),
+        tilt=math.radians(round(2.0 * math.degrees(camera.geometry.tilt)) / 2.0),
+        correction=correction,
+        date=datetime.date.today().isoformat(),
+        made_with=MADE_WITH,
+    )
