@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
+from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -34,7 +35,7 @@ class FrameFolder(PacedFrames):
         try:
             with np.load(path, allow_pickle=False) as arrays:
                 return self._checked(path, arrays["depth"], arrays["color"])
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
             raise DeviceLost(f"{self.name}: {path} does not hold the arrays depth and color: {error}") from error
 
     def _read_pair(self, path: Path) -> RgbdFrame:

@@ -1,0 +1,188 @@
+"""The tracker's cameras: what they do otherwise than asked is said; files are paced, and their end is said."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+
+from schemas import ColorImage, DepthImage, Intrinsics, Message
+from services.tracker.devices import DrivenCamera, OverheadSettings, PictureFolder, VideoFile, refusals
+from services.tracker.realsense import RealSense
+from services.tracker.recordings import FrameFolder, LoggedFrames
+from services.tracker.sources import overhead_device, rgbd_device
+from tests.log.making import records_of, write_log
+from vantage.service import Device, DeviceLost
+
+SHADES = (40, 120, 200)
+
+
+def frames_of(device: Device, limit: float = 10.0) -> tuple[list[Any], list[float], str]:
+    """Read a device until it is lost: values, seconds at which they came, and the reason."""
+    values, times = [], []
+    started = time.monotonic()
+    device.open()
+    try:
+        while time.monotonic() - started < limit:
+            got = device.read()
+            if got is not None:
+                values.append(got[0])
+                times.append(time.monotonic() - started)
+    except DeviceLost as lost:
+        return values, times, str(lost)
+    finally:
+        device.close()
+    raise AssertionError("the device did not end")
+
+
+def property_reader(**values: float) -> Callable[[int], float]:
+    return {getattr(cv2, f"CAP_PROP_{name}"): value for name, value in values.items()}.__getitem__
+
+
+def as_asked(settings: OverheadSettings) -> dict[str, float]:
+    return {
+        "FRAME_WIDTH": settings.overhead_width,
+        "FRAME_HEIGHT": settings.overhead_height,
+        "FPS": settings.overhead_rate,
+        "FOURCC": float(cv2.VideoWriter.fourcc(*settings.overhead_fourcc)),
+        "EXPOSURE": settings.overhead_exposure or 0.0,
+    }
+
+
+def test_a_camera_that_does_what_was_asked_is_not_refused() -> None:
+    for settings in (OverheadSettings(), OverheadSettings(640, 480, 60.0, 50.0, "YUYV")):
+        assert refusals(settings, property_reader(**as_asked(settings))) == []
+
+
+@pytest.mark.parametrize(
+    ("read_back", "said"),
+    [
+        ({"FRAME_WIDTH": 640.0, "FRAME_HEIGHT": 480.0}, "1280 x 720 pixels (it gives 640 x 480)"),
+        ({"FPS": 10.0}, "30 frames a second (it gives 10)"),
+        ({"FOURCC": float(cv2.VideoWriter.fourcc(*"YUYV"))}, "the format MJPG (it gives YUYV)"),
+        ({"EXPOSURE": 300.0}, "an exposure of 50 (it keeps 300)"),
+    ],
+)
+def test_what_a_camera_does_otherwise_is_said(read_back: dict[str, float], said: str) -> None:
+    settings = OverheadSettings(overhead_exposure=50.0)
+    assert refusals(settings, property_reader(**{**as_asked(settings), **read_back})) == [said]
+
+
+def test_a_camera_that_is_not_there_is_said_with_what_to_do() -> None:
+    camera = DrivenCamera("overhead camera", "/dev/video97", OverheadSettings())
+    with pytest.raises(DeviceLost, match="overhead camera: /dev/video97 is not there: plug the camera in"):
+        camera.open()
+    camera.close()
+
+
+def test_what_is_no_camera_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "video0").write_bytes(b"no camera")
+    camera = DrivenCamera("overhead camera", str(tmp_path / "video0"), OverheadSettings())
+    with pytest.raises(DeviceLost, match="does not open"):
+        camera.open()
+    camera.close()
+
+
+def test_a_video_file_gives_its_frames_in_rgb_and_says_when_it_has_ended(tmp_path: Path) -> None:
+    path = tmp_path / "table.avi"
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 20.0, (64, 48))
+    for shade in SHADES:
+        writer.write(np.full((48, 64, 3), (0, 0, shade), np.uint8))  # red, in OpenCV's order
+    writer.release()
+    video = VideoFile("overhead camera", path)
+    values, times, said = frames_of(video)
+    assert [round(float(value[..., 0].mean()), -1) for value in values] == list(SHADES)
+    assert all(value.shape == (48, 64, 3) and value[..., 2].mean() < 30 for value in values)
+    assert times[-1] >= 2 / 20.0  # at its own pace, 20 a second
+    assert said == f"overhead camera: {path} has ended"
+    with pytest.raises(DeviceLost, match="has ended"):
+        video.open()
+
+
+def test_a_folder_of_pictures_is_read_in_order(tmp_path: Path) -> None:
+    for number, shade in enumerate(SHADES):
+        cv2.imwrite(str(tmp_path / f"{number}.png"), np.full((4, 6, 3), (shade, 0, 0), np.uint8))
+    values, _, _ = frames_of(PictureFolder("overhead camera", tmp_path, 0.0))
+    assert [int(value[0, 0, 2]) for value in values] == list(SHADES)
+
+
+@pytest.mark.parametrize("make", [lambda path: PictureFolder("camera", path, 0.0), lambda path: FrameFolder("camera", path, 0.0)])
+def test_an_empty_folder_and_a_missing_one_are_said(make: Callable[[Path], Device], tmp_path: Path) -> None:
+    assert "holds " in frames_of(make(tmp_path))[2]
+    with pytest.raises(DeviceLost, match="there is no"):
+        make(tmp_path / "nowhere").open()
+
+
+def pair(shade: int) -> tuple[Any, Any]:
+    color = np.zeros((4, 6, 3), np.uint8)
+    color[..., 0] = shade
+    return np.full((4, 6), 5 * shade, np.uint16), color
+
+
+def test_recorded_pairs_are_read_as_arrays_and_as_pictures(tmp_path: Path) -> None:
+    arrays, pictures = tmp_path / "arrays", tmp_path / "pictures"
+    arrays.mkdir()
+    pictures.mkdir()
+    for number, shade in enumerate(SHADES):
+        depth, color = pair(shade)
+        np.savez(arrays / f"{number}.npz", depth=depth, color=color)
+        cv2.imwrite(str(pictures / f"{number}.depth.png"), depth)
+        cv2.imwrite(str(pictures / f"{number}.color.png"), color[..., ::-1])
+    for folder in (arrays, pictures):
+        values, _, said = frames_of(FrameFolder("hider camera", folder, 0.0))
+        assert said.endswith("has ended")
+        for (depth, color), shade in zip(values, SHADES, strict=True):
+            np.testing.assert_array_equal(depth, pair(shade)[0])
+            np.testing.assert_array_equal(color, pair(shade)[1])
+
+
+@pytest.mark.parametrize("content", [b"", b"no archive"])
+def test_a_broken_recording_is_said(content: bytes, tmp_path: Path) -> None:
+    (tmp_path / "0.npz").write_bytes(content)
+    assert "0.npz does not hold the arrays" in frames_of(FrameFolder("hider camera", tmp_path, 0.0))[2]
+
+
+def test_arrays_of_another_type_are_refused(tmp_path: Path) -> None:
+    np.savez(tmp_path / "0.npz", depth=np.zeros((4, 6)), color=np.zeros((4, 6, 3), np.uint8))
+    assert "must hold depth uint16" in frames_of(FrameFolder("hider camera", tmp_path, 0.0))[2]
+
+
+def test_a_robots_pictures_are_read_from_a_log(tmp_path: Path) -> None:
+    messages: list[tuple[str, Message]] = []
+    intrinsics = Intrinsics(fx=5.0, fy=5.0, cx=2.5, cy=1.5)
+    for step, shade in enumerate(SHADES):
+        depth, color = pair(shade)
+        shape = {"stamp": 10 + step, "step": step, "width": 6, "height": 4, "intrinsics": intrinsics}
+        messages.append(("hider/depth", DepthImage(**shape, data=depth.tobytes())))
+        messages.append(("hider/color", ColorImage(**shape, data=color.tobytes())))
+    log = tmp_path / "game.mcap"
+    write_log(log, records_of(messages))
+    values, _, said = frames_of(LoggedFrames("hider camera", log, 0.0, "hider"))
+    assert [int(color[0, 0, 0]) for _, color in values] == list(SHADES)
+    assert said.endswith("has ended")
+    assert "no depth and colour pictures of the seeker" in frames_of(LoggedFrames("camera", log, 0.0, "seeker"))[2]
+
+
+def test_a_realsense_without_its_package_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "pyrealsense2", None)
+    with pytest.raises(DeviceLost, match="hider camera: pyrealsense2 is not installed"):
+        RealSense("hider camera", "123").open()
+
+
+def test_a_sources_name_tells_its_device(tmp_path: Path) -> None:
+    settings = OverheadSettings()
+    assert overhead_device("camera", "bus", settings) is None
+    assert rgbd_device("camera", "hider", "bus", 5.0) is None
+    kinds = {"0": DrivenCamera, "/dev/video0": DrivenCamera, "table.mp4": VideoFile, str(tmp_path): PictureFolder}
+    for source, kind in kinds.items():
+        assert type(overhead_device("camera", source, settings)) is kind
+    (tmp_path / "game.mcap").touch()
+    kinds = {"realsense": RealSense, "realsense:12": RealSense, str(tmp_path): LoggedFrames, "frames": FrameFolder}
+    for source, kind in kinds.items():
+        assert type(rgbd_device("camera", "hider", source, 5.0)) is kind
