@@ -14,7 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas import Box
-from vantage.rehearsal.overhead_rays import COVER, DARK, LIGHT, MOMENTS, expose_window, read_out
+from vantage.rehearsal.overhead_light import Development, OverheadLook
+from vantage.rehearsal.overhead_rays import COVER, DARK, LIGHT, MOMENTS, expose_window
 from vantage.tracking.calibration import Calibration
 from vantage.tracking.overhead_camera import OverheadCamera
 from vantage.tracking.table import TAG_CELLS, CornerTag, Table
@@ -29,7 +30,6 @@ from vantage.world.arena import (
     ROBOT_RADIUS,
     SEEKER_COLOR,
     WALL_COLOR,
-    WALL_HEIGHT,
 )
 from vantage.world.layout import boxes_array
 
@@ -40,7 +40,6 @@ ROBOTS = ("hider", "seeker")
 """Rows of every array over both robots."""
 
 _PLATE = (TAG_CELLS + 2) / TAG_CELLS
-_NOISE_MARGIN = 128
 _KEPT_BACKGROUNDS = 4
 
 
@@ -65,32 +64,6 @@ class _Background:
     plates: Floats
     plate_cells: Picture
     plate_windows: Floats
-
-
-@dataclass(frozen=True)
-class OverheadLook:
-    """How light and camera treat the picture."""
-
-    blur: float = 0.8
-    """standard deviation of the lens's blur, px"""
-    noise: float = 3.0
-    """standard deviation, grey levels"""
-    exposure: float = 0.006
-    """s; robots smear along their way meanwhile"""
-    brightness: float = 0.9
-    """of the light in the middle"""
-    gradient: float = 0.25
-    """brightness gained from the left edge to the right one, as a share"""
-    vignette: float = 0.25
-    """brightness lost from the middle to the corners, as a share"""
-    glare_column: float = 0.0
-    """middle of a reflected lamp, px"""
-    glare_row: float = 0.0
-    """middle of a reflected lamp, px"""
-    glare_radius: float = 0.0
-    """of a reflected lamp, px; 0 = none"""
-    wall_height: float = WALL_HEIGHT
-    """m; 0 = no walls"""
 
 
 def rehearsal_camera(
@@ -153,7 +126,7 @@ class OverheadScene:
         self.camera = OverheadCamera(calibration)
         self._strays, self._covered = strays, covered
         self._floor = self._floor_of_pixel_corners()
-        self._gain, self._veil = self._light()
+        self._development = Development(calibration.width, calibration.height, self.look)
         self._colors = _colors()
         self._arena = np.array([table.width, table.depth, self.look.wall_height, 0.012])
         self._backgrounds: dict[tuple[Box, ...], _Background] = {}
@@ -168,7 +141,6 @@ class OverheadScene:
                 for tag in tags
             ]
         )
-        self._noise: dict[int, npt.NDArray[np.int16]] = {}
 
     def render(self, robots: Floats, boxes: tuple[Box, ...], seed: int, frame: int, speeds: Floats | None = None) -> Picture:
         """Take a picture.
@@ -196,8 +168,8 @@ class OverheadScene:
             if inner[2] > inner[0] and inner[3] > inner[1]:
                 into = patch[inner[1] - outer[1] : inner[3] - outer[1], inner[0] - outer[0] : inner[2] - outer[0]]
                 self._expose(inner, background, moments, speeds is not None, into)
-            self._develop(patch, outer, light)
-        return self._read_out(light, seed, frame)
+            self._development.develop(patch, outer, light)
+        return self._development.read_out(light, seed, frame)
 
     def true_corners(self, robots: Floats, boxes: tuple[Box, ...]) -> dict[int, Floats]:
         """Return where every tag's corners truly are in a picture, by id: float64 [4, 2] px."""
@@ -229,19 +201,6 @@ class OverheadScene:
         u, v = np.meshgrid(np.arange(width + 1) - 0.5, np.arange(height + 1) - 0.5)
         points, _ = self.camera.on_plane(np.stack((u, v), axis=-1).reshape(-1, 2), 0.0)
         return np.ascontiguousarray(points.reshape(height + 1, width + 1, 2))
-
-    def _light(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
-        """Gain and veil of every pixel, float32 [H, W, 1]."""
-        width, height = self.camera.width, self.camera.height
-        across, down = np.meshgrid(np.linspace(-1, 1, width), np.linspace(-1, 1, height))
-        slope = (across * 0.9 + down * 0.4) * self.look.gradient / 2
-        gain = self.look.brightness * (1 + slope) * (1 - self.look.vignette * (across**2 + down**2) / 2)
-        veil = np.zeros_like(gain)
-        if self.look.glare_radius > 0:
-            u, v = np.meshgrid(np.arange(width), np.arange(height))
-            away = np.hypot(u - self.look.glare_column, v - self.look.glare_row) / self.look.glare_radius
-            veil = 400.0 * np.exp(-(away**4))
-        return gain[..., None].astype(np.float32), veil[..., None].astype(np.float32)
 
     def _plates(self, boxes: tuple[Box, ...]) -> tuple[Floats, Picture]:
         rows, cells = [], []
@@ -300,7 +259,7 @@ class OverheadScene:
             )
             whole = (0, 0, width, height)
             self._expose(whole, found, np.full((MOMENTS, 2, 4), np.nan), False, found.sharp)
-            self._develop(found.sharp, whole, found.light)
+            self._development.develop(found.sharp, whole, found.light)
             while len(self._backgrounds) >= _KEPT_BACKGROUNDS:
                 del self._backgrounds[next(iter(self._backgrounds))]
             self._backgrounds[boxes] = found
@@ -310,17 +269,6 @@ class OverheadScene:
         """Left, top, right, bottom of points float64 [n, 3] in the picture, with a margin, float64 [4] px."""
         pixels = self.camera.project(points)
         return np.concatenate((pixels.min(axis=0) - 2, pixels.max(axis=0) + 2))
-
-    def _develop(self, patch: npt.NDArray[np.float32], window: tuple[int, int, int, int], light: npt.NDArray[np.int16]) -> None:
-        """Blur and light a patch float32 [h, w, 3] and put it into its window of light int16 [H, W, 3], sixteenths."""
-        left, top, right, bottom = window
-        if self.look.blur > 0:
-            patch = cv2.GaussianBlur(patch, (0, 0), self.look.blur, borderType=cv2.BORDER_REPLICATE)
-        # The blur at the patch's rim lacks its surroundings: the rim stays as it was.
-        rim = math.ceil(3 * self.look.blur) if (right - left, bottom - top) != (self.camera.width, self.camera.height) else 0
-        inner = (slice(rim, bottom - top - rim), slice(rim, right - left - rim))
-        place = (slice(top + rim, bottom - rim), slice(left + rim, right - rim))
-        light[place] = np.clip((patch[inner] * self._gain[place] + self._veil[place]) * 16 + 0.5, 0, 32000)
 
     def _moments(self, robots: Floats, speeds: Floats | None) -> Floats:
         """Robots at the moments of the exposure, float64 [5, 2, 4]."""
@@ -358,21 +306,6 @@ class OverheadScene:
 
     def _clipped(self, left: int, top: int, right: int, bottom: int) -> tuple[int, int, int, int]:
         return max(left, 0), max(top, 0), min(right, self.camera.width), min(bottom, self.camera.height)
-
-    def _read_out(self, light: npt.NDArray[np.int16], seed: int, frame: int) -> Picture:
-        height, width = light.shape[:2]
-        bank = self._noise.get(seed)
-        if bank is None:
-            random = np.random.default_rng(seed)
-            size = (height + _NOISE_MARGIN, (width + _NOISE_MARGIN) * 3)
-            bank = (random.standard_normal(size, dtype=np.float32) * (16 * self.look.noise)).astype(np.int16)
-            self._noise = {seed: bank}
-        # Every frame cuts its noise out of one large field, elsewhere.
-        down, right = np.random.default_rng((seed, frame)).integers(0, _NOISE_MARGIN, 2)
-        noise = bank[down : down + height, 3 * right : 3 * (right + width)]
-        picture = np.empty((height, width, 3), np.uint8)
-        read_out(light.reshape(height, width * 3), noise, picture.reshape(height, width * 3))
-        return picture
 
 
 def _overlap(windows: Floats, window: tuple[int, int, int, int]) -> npt.NDArray[np.bool_]:

@@ -33,7 +33,7 @@ def _plate_color(u: float, v: float, half: float, cells: Bytes) -> int:
     count = cells.shape[0]
     column = min(int((u + half) / (2.0 * half) * count), count - 1)
     row = min(int((half - v) / (2.0 * half) * count), count - 1)
-    return np.int64(cells[row, column])
+    return int(np.int64(cells[row, column]))
 
 
 @kernel
@@ -204,12 +204,3 @@ def expose_window(
             out[v - 1, u, 0] = red / MOMENTS**2
             out[v - 1, u, 1] = green / MOMENTS**2
             out[v - 1, u, 2] = blue / MOMENTS**2
-
-
-@kernel
-def read_out(light: npt.NDArray[np.int16], noise: npt.NDArray[np.int16], out: Bytes) -> None:
-    """Add noise and round: light and noise int16 [H, W x 3] in sixteenths of a grey level -> uint8 [H, W x 3]."""
-    for v in range(out.shape[0]):
-        for u in range(out.shape[1]):
-            value = (np.int32(light[v, u]) + np.int32(noise[v, u]) + 8) >> 4
-            out[v, u] = np.uint8(min(max(value, 0), 255))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -18,6 +19,10 @@ Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
 
 FEWEST_VIEWS = 8
+FEWEST_CORNERS = 8
+"""of the board in a picture"""
+GREATEST_FOCAL_DEVIATION = 0.02
+"""Standard deviation of the focal length as a share of it: more says that the board was never tilted."""
 GREATEST_LENS_RESIDUAL = 0.5
 """px, root mean square: more says that the board is bent or the pictures are blurred."""
 
@@ -73,4 +78,121 @@ def calibrate_lens(
     Raises:
         CalibrationFailed: too few good views, views too much alike, or the fit is bad.
     """
-    raise CalibrationFailed("not yet")
+    board = board or BoardDescription()
+    if not pictures:
+        raise CalibrationFailed("no pictures of the board: take at least " + str(fewest_views))
+    height, width = pictures[0].shape[:2]
+    detector = cv2.aruco.CharucoDetector(charuco_board(board))
+    places: Floats = np.asarray(charuco_board(board).getChessboardCorners(), dtype=np.float64)
+    gap = (board.square - board.marker) / 2 / board.square
+    views: list[_View] = []
+    refused: list[tuple[int, str]] = []
+    for index, picture in enumerate(pictures):
+        view = _look(index, picture, (height, width), detector, places, gap)
+        reason = view if isinstance(view, str) else _why_not(view, views, (width, height))
+        if isinstance(view, str) or reason:
+            refused.append((index, str(reason)))
+        else:
+            views.append(view)
+    _require_views(views, fewest_views, refused)
+    fit = _fit(views, (width, height))
+    # A picture that does not fit the others (board moved, board bent) is left out and the rest fitted again.
+    bad = [view for view, error in zip(views, fit.errors, strict=True) if error > max(3 * float(np.median(fit.errors)), 0.3)]
+    if bad:
+        refused += [(view.index, "does not fit the other pictures: the board moved or was blurred") for view in bad]
+        views = [view for view in views if view not in bad]
+        _require_views(views, fewest_views, refused)
+        fit = _fit(views, (width, height))
+    if fit.residual > GREATEST_LENS_RESIDUAL:
+        raise CalibrationFailed(
+            f"the lens does not fit: {fit.residual:.2f} px residual, {GREATEST_LENS_RESIDUAL} allowed; "
+            "mount the board on something flat, hold it still, and check its measures"
+        )
+    lens = Lens(
+        width=width,
+        height=height,
+        matrix=tuple(fit.matrix.ravel().tolist()),
+        distortion=tuple(fit.distortion.ravel().tolist()[:5]),
+        residual=fit.residual,
+        views=len(views),
+    )
+    return LensResult(lens, tuple(sorted(refused)))
+
+
+@dataclass(frozen=True, eq=False)
+class _View:
+    """Corners of the board in one picture: pixels float32 [n, 2], places on the board float32 [n, 3], ids int [n]."""
+
+    index: int
+    pixels: npt.NDArray[np.float32]
+    places: npt.NDArray[np.float32]
+    ids: npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class _Fit:
+    residual: float
+    matrix: Floats
+    distortion: Floats
+    errors: Floats
+
+
+def _look(index: int, picture: Picture, size: tuple[int, int], detector: Any, places: Floats, gap: float) -> _View | str:
+    """The board's corners in a picture, or why there are none."""
+    if picture.shape[:2] != size:
+        return f"is {picture.shape[1]} x {picture.shape[0]}, the first picture {size[1]} x {size[0]}"
+    grey = cv2.cvtColor(picture, cv2.COLOR_RGB2GRAY) if picture.ndim == 3 else picture
+    corners, ids, _, _ = detector.detectBoard(grey)
+    if ids is None or len(ids) == 0:
+        return "shows no board"
+    ids = np.asarray(ids, dtype=np.int64).ravel()
+    if len(ids) < FEWEST_CORNERS:
+        return f"shows {len(ids)} corners of the board, {FEWEST_CORNERS} are needed"
+    if np.linalg.matrix_rank(places[ids, :2] - places[ids, :2].mean(axis=0), tol=1e-6) < 2:
+        return "shows corners of a single row only"
+    pixels = _refined(grey, np.asarray(corners, np.float32).reshape(-1, 2), gap)
+    return _View(index, pixels, places[ids].astype(np.float32), ids)
+
+
+def _refined(grey: Picture, pixels: npt.NDArray[np.float32], gap: float) -> npt.NDArray[np.float32]:
+    """Corners float32 [n, 2] to a few hundredths of a pixel.
+
+    OpenCV's own refinement of the board reaches into the markers where these are small, which draws corners away by 0.3 px:
+    the window here ends well before them. gap is the white around a marker as a share of a square.
+    """
+    between = np.linalg.norm(pixels[:, None] - pixels[None], axis=-1)
+    square = float(np.median(np.where(between > 0, between, np.inf).min(axis=1)))
+    half = int(np.clip(0.6 * gap * square, 2, 8))
+    criteria = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 0.001)
+    refined = cv2.cornerSubPix(grey, pixels.reshape(-1, 1, 2).copy(), (half, half), (-1, -1), criteria)
+    return np.asarray(refined, np.float32).reshape(-1, 2)
+
+
+def _why_not(view: _View, others: Sequence[_View], size: tuple[int, int]) -> str:
+    """Why a view adds nothing, empty when it does."""
+    for other in others:
+        _, mine, theirs = np.intersect1d(view.ids, other.ids, return_indices=True)
+        if len(mine) and float(np.linalg.norm(view.pixels[mine] - other.pixels[theirs], axis=1).mean()) < 0.01 * size[0]:
+            return f"shows the board just as picture {other.index} does: move it"
+    return ""
+
+
+def _require_views(views: Sequence[_View], fewest: int, refused: Sequence[tuple[int, str]]) -> None:
+    if len(views) < fewest:
+        reasons = "; ".join(f"picture {index} {reason}" for index, reason in sorted(refused)[:4])
+        raise CalibrationFailed(
+            f"{len(views)} good pictures of the board, {fewest} are needed: take more, at other places and tilts"
+            + (f" ({reasons})" if reasons else "")
+        )
+
+
+def _fit(views: Sequence[_View], size: tuple[int, int]) -> _Fit:
+    """Fit the lens (Zhang's method, `cv2.calibrateCamera`)."""
+    result = cv2.calibrateCameraExtended(
+        [view.places for view in views], [view.pixels for view in views], size, np.eye(3), np.zeros(5)
+    )
+    residual, matrix, distortion, _, _, deviations, _, errors = result
+    focal_deviation = float(np.asarray(deviations).ravel()[0])
+    if not math.isfinite(residual) or focal_deviation > GREATEST_FOCAL_DEVIATION * float(matrix[0, 0]):
+        raise CalibrationFailed("the pictures do not settle the lens: tilt the board by 20 to 40 degrees in half of them")
+    return _Fit(float(residual), matrix, distortion, np.asarray(errors, dtype=np.float64).ravel())

@@ -5,13 +5,31 @@ Integer pixel coordinates are pixel centres (OpenCV's convention).
 
 from __future__ import annotations
 
+import datetime
+from typing import Annotated
+
 import cv2
+import msgspec
 import numpy as np
 import numpy.typing as npt
-
-from vantage.tracking.calibration import Calibration
+from msgspec import Meta
 
 Floats = npt.NDArray[np.float64]
+
+
+class Calibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Lens and place of the overhead camera."""
+
+    width: Annotated[int, Meta(ge=16, le=16384, description="of the pictures, px")]
+    height: Annotated[int, Meta(ge=16, le=16384, description="of the pictures, px")]
+    matrix: Annotated[tuple[float, ...], Meta(min_length=9, max_length=9, description="3 x 3 by rows, px")]
+    distortion: Annotated[tuple[float, ...], Meta(min_length=5, max_length=5, description="k1, k2, p1, p2, k3")]
+    rotation: Annotated[tuple[float, ...], Meta(min_length=9, max_length=9, description="3 x 3 by rows, arena -> camera")]
+    translation: Annotated[tuple[float, ...], Meta(min_length=3, max_length=3, description="arena -> camera, m")]
+    lens_residual: Annotated[float, Meta(ge=0.0, description="px, root mean square")]
+    arena_residual: Annotated[float, Meta(ge=0.0, description="mm on the floor, root mean square")]
+    date: Annotated[datetime.date, Meta(description="of the arena calibration")]
+    made_with: str = ""
 
 
 class OverheadCamera:

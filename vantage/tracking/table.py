@@ -85,10 +85,10 @@ def default_table() -> Table:
     """
     return Table(
         corners=(
-            CornerTag(id=20, x=-0.21, y=0.10),
-            CornerTag(id=21, x=1.41, y=0.10),
-            CornerTag(id=22, x=1.41, y=1.10),
-            CornerTag(id=23, x=-0.21, y=1.10),
+            CornerTag(id=20, x=-0.25, y=0.10),
+            CornerTag(id=21, x=1.45, y=0.10),
+            CornerTag(id=22, x=1.45, y=1.10),
+            CornerTag(id=23, x=-0.25, y=1.10),
         ),
         robots={"hider": RobotTag(id=0), "seeker": RobotTag(id=1)},
         obstacles=(
@@ -107,7 +107,7 @@ def check_table(table: Table) -> None:
     """
     if table.family != "tag36h11":
         raise UnusableTable(f"tags of the family {table.family} are not supported: print tag36h11 with `vantage table print`")
-    ids = [tag.id for tag in (*table.corners, *table.robots.values(), *table.obstacles)]
+    ids = [tag.id for tag in table.corners] + [tag.id for tag in table.robots.values()] + [tag.id for tag in table.obstacles]
     twice = sorted({tag for tag in ids if ids.count(tag) > 1})
     if twice:
         raise UnusableTable(f"tag {', '.join(map(str, twice))} stands more than once in the table: give every tag its own id")
