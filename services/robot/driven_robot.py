@@ -1,0 +1,91 @@
+"""One robot with a serial line: its link and its motion control together, stepped by what the robot says and by time."""
+
+from __future__ import annotations
+
+from schemas import Track
+from services.robot.link import Link
+from services.robot.motion_control import Ended, MotionControl, Target
+from services.robot.settings import RobotSettings
+from vantage.service import SECOND, Captured, Send
+
+SENDING = SECOND // 20
+"""ns after which the speeds are sent again at the latest, while the robot moves: lost lines do no harm."""
+IDLING = SECOND // 10
+"""ns between two lines to a robot that stands still: it answers, so it is known to be there."""
+
+
+class DrivenRobot:
+    """See module.
+
+    Attributes:
+        link, control: its parts.
+    """
+
+    def __init__(self, robot: str, settings: RobotSettings) -> None:
+        self.link = Link(robot, settings.port_of(robot))
+        self.control = MotionControl(settings.wheels, settings.control)
+        self._low_battery = settings.control.low_battery
+
+    def wake_at(self) -> int:
+        """Return when the next line is due, ns."""
+        if self.link.last_sent is None:
+            return 0
+        return self.link.last_sent + (SENDING if self.control.busy else IDLING)
+
+    def begin(self, target: Target, now: int, speed: float | None = None) -> None:
+        """Begin a motion; `advance` reports its end."""
+        self.control.begin(target, now, speed)
+
+    def halt(self, now: int) -> list[Send]:
+        """End the motion unreported and stop the wheels."""
+        self.control.cancel()
+        return [self.link.stop(now)]
+
+    def see(self, track: Track, now: int) -> None:
+        """Take a tracked pose."""
+        self.control.see(track, now)
+
+    def hear(self, captured: Captured, now: int) -> tuple[list[Send], Ended | None]:
+        """Take what came through the port; see `advance`."""
+        if captured.error:
+            self.link.unplugged = captured.error
+            return self._fail_if_helpless(now)
+        if self.link.unplugged:
+            self.link.plugged(now)
+        measurements = self.link.hear(captured.value, captured.stamp)
+        for measurement in measurements:
+            self.control.measure(measurement)
+        return self.advance(now) if measurements and self.control.busy else ([], None)
+
+    def advance(self, now: int) -> tuple[list[Send], Ended | None]:
+        """Let time pass: return the line to send, and how the motion ended if it did."""
+        sends, ended = self._fail_if_helpless(now)
+        if ended is not None:
+            return sends, ended
+        if not self.control.busy:
+            return [self.link.stop(now)], None
+        outcome = self.control.step(now)
+        if isinstance(outcome, Ended):
+            return [self.link.stop(now)], outcome
+        return [self.link.set_speeds(*outcome, now)], None
+
+    def clear(self, now: int) -> list[Send]:
+        """Clear a latched emergency stop whose button is released."""
+        return [self.link.clear(now)] if self.link.can_clear else []
+
+    def trouble(self, now: int) -> str:
+        """Return what is wrong, for people; empty when nothing."""
+        trouble = self.link.trouble(now)
+        battery = self.link.battery
+        if not trouble and battery is not None and (self.link.low_battery or battery < self._low_battery):
+            return f"robot {self.link.robot}: battery at {battery:.1f} V, charge it"
+        return trouble
+
+    def _fail_if_helpless(self, now: int) -> tuple[list[Send], Ended | None]:
+        """End a motion that nobody can carry out: no line to the robot, or an emergency stop."""
+        reason = self.link.trouble(now)
+        if not (reason and self.control.busy):
+            return [], None
+        self.control.fail("stopped", reason, now)
+        outcome = self.control.step(now)
+        return [self.link.stop(now)], outcome if isinstance(outcome, Ended) else None

@@ -1,0 +1,164 @@
+"""One robot's serial line as the driver sees it: what is sent and acknowledged, what the robot measures, whether it answers."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import NamedTuple
+
+from vantage.drive.protocol import (
+    BUTTON,
+    EMERGENCY_STOP,
+    LOW_BATTERY,
+    SEQUENCES,
+    Acknowledgement,
+    ClearEmergencyStop,
+    LineReader,
+    Query,
+    SetSpeeds,
+    Stop,
+    Telemetry,
+    encode,
+)
+from vantage.service import SECOND, Write
+
+SILENCE = SECOND // 2
+"""ns without acknowledgement or telemetry after which a robot does not answer."""
+SILENT_LINES = 5
+"""Lines that must have gone unanswered for that, too: a driver that was held up itself blames nobody."""
+CLOCK_DRIFT = 1e-4
+"""How much faster than ours a robot's clock may run, relatively."""
+
+
+class Measurement(NamedTuple):
+    """When (ns, our clock) the robot measured, and by how many ticks each wheel had turned since the last time."""
+
+    stamp: int
+    left: int
+    right: int
+
+
+class Link:
+    """See module.
+
+    Attributes:
+        robot: its name, which is the device's, too.
+        port: path, for people.
+        unplugged: why the port is not open, for people; empty while it is.
+        flags: what the robot last said of itself.
+        battery: V; None before it said.
+    """
+
+    def __init__(self, robot: str, port: str) -> None:
+        self.robot = robot
+        self.port = port
+        self.unplugged = ""
+        self.flags = 0
+        self.battery: float | None = None
+        self._reader = LineReader()
+        self._sequence = 0
+        self._unanswered: deque[tuple[int, int]] = deque(maxlen=256)  # sequence, when sent
+        self._telemetry: Telemetry | None = None
+        self._heard_at: int | None = None  # telemetry
+        self._sent_since_telemetry = 0
+        self._offset: int | None = None  # our clock minus the robot's, ns
+        self.last_sent: int | None = None
+
+    @property
+    def damaged(self) -> int:
+        """Damaged lines received."""
+        return self._reader.damaged
+
+    @property
+    def emergency_stop(self) -> bool:
+        return bool(self.flags & EMERGENCY_STOP)
+
+    @property
+    def can_clear(self) -> bool:
+        """Whether an emergency stop is latched whose button is released."""
+        return self.emergency_stop and not self.flags & BUTTON
+
+    @property
+    def low_battery(self) -> bool:
+        return bool(self.flags & LOW_BATTERY)
+
+    def set_speeds(self, left: float, right: float, now: int) -> Write:
+        """Return the line that turns the wheels at these speeds, m/s."""
+        return self._say(SetSpeeds(self._next(), round(1000.0 * left), round(1000.0 * right)), now)
+
+    def stop(self, now: int) -> Write:
+        return self._say(Stop(self._next()), now)
+
+    def clear(self, now: int) -> Write:
+        return self._say(ClearEmergencyStop(self._next()), now)
+
+    def hear(self, data: bytes, now: int) -> list[Measurement]:
+        """Take bytes that came at a time (ns); return what was measured."""
+        measurements = []
+        for line in self._reader.feed(data):
+            if isinstance(line, Acknowledgement):
+                self._acknowledged(line)
+            elif isinstance(line, Telemetry):
+                measurements.append(self._measured(line, now))
+        return measurements
+
+    def silent(self, now: int) -> bool:
+        """Whether the robot does not answer."""
+        unanswered = len(self._unanswered) >= SILENT_LINES and now - self._unanswered[0][1] > SILENCE
+        unheard = self._sent_since_telemetry >= SILENT_LINES and (self._heard_at is None or now - self._heard_at > SILENCE)
+        return unanswered or unheard
+
+    def plugged(self, now: int) -> None:
+        """Take note that the port has been opened (again): what was sent before counts no more."""
+        self.unplugged = ""
+        self._unanswered.clear()
+        self._sent_since_telemetry = 0
+        self._heard_at = now
+
+    def trouble(self, now: int) -> str:
+        """Return what is wrong, for people; empty when nothing."""
+        if self.unplugged:
+            return self.unplugged
+        if self.silent(now):
+            return f"robot {self.robot} does not answer on {self.port}: is it switched on, is it the right port?"
+        if self.flags & BUTTON:
+            return f"robot {self.robot}: the emergency stop button is pressed; release it and start a new game"
+        if self.emergency_stop:
+            return f"robot {self.robot}: emergency stop; start a new game to clear it"
+        return ""
+
+    def _next(self) -> int:
+        sequence, self._sequence = self._sequence, (self._sequence + 1) % SEQUENCES
+        return sequence
+
+    def _say(self, line: SetSpeeds | Stop | ClearEmergencyStop | Query, now: int) -> Write:
+        self._unanswered.append((line.sequence, now))
+        self._sent_since_telemetry += 1
+        self.last_sent = now
+        return Write(self.robot, encode(line))
+
+    def _acknowledged(self, line: Acknowledgement) -> None:
+        if any(sequence == line.sequence for sequence, _ in self._unanswered):
+            while self._unanswered.popleft()[0] != line.sequence:
+                pass
+            self.flags = line.flags
+
+    def _measured(self, line: Telemetry, now: int) -> Measurement:
+        last, self._telemetry = self._telemetry, line
+        since = self._heard_at if self._heard_at is not None else now
+        self._heard_at = now
+        self._sent_since_telemetry = 0
+        self.flags = line.flags
+        self.battery = line.battery / 1000.0
+        if last is None or line.milliseconds < last.milliseconds:
+            # The first, or the robot was switched on again and counts from the start.
+            self._offset = now - 1_000_000 * line.milliseconds
+            return Measurement(now, 0, 0)
+        # Lines come late by different times: the earliest tells most of the robot's clock.
+        patient = (self._offset or 0) + int(CLOCK_DRIFT * (now - since))
+        self._offset = min(patient, now - 1_000_000 * line.milliseconds)
+        stamp = min(self._offset + 1_000_000 * line.milliseconds, now)
+        return Measurement(stamp, _difference(line.left, last.left), _difference(line.right, last.right))
+
+
+def _difference(ticks: int, before: int) -> int:
+    return (ticks - before + 2**31) % 2**32 - 2**31
