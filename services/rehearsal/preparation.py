@@ -14,10 +14,11 @@ import msgspec
 import numpy as np
 
 from schemas import ROBOTS, Box
-from services.rehearsal.board import board_pictures
-from vantage.rehearsal.overhead_picture import OverheadLook, OverheadScene, rehearsal_camera
+from vantage.rehearsal.board_picture import BoardScene, draw_views
+from vantage.rehearsal.overhead_light import OverheadLook
+from vantage.rehearsal.overhead_picture import OverheadScene, rehearsal_camera
 from vantage.rehearsal.rgbd_picture import RgbdCamera, RgbdLook, render_rgbd
-from vantage.tracking.calibration import BoardDescription, calibrate_arena, calibrate_lens, save_calibration
+from vantage.tracking.calibration import Calibration, Lens, calibrate_arena, calibrate_lens, save_calibration
 from vantage.tracking.colors import correct_colors, measure_rectangle
 from vantage.tracking.rgbd import RgbdCalibration, default_rgbd, save_rgbd
 from vantage.tracking.table import ObstacleTag, Table, default_table, save_table
@@ -91,17 +92,28 @@ def calibrate_and_write(prepared: Prepared, folder: Path, seed: int) -> None:
     Raises:
         CalibrationFailed, UnusableColors: the pictures do not make a calibration.
     """
-    scene, truth = prepared.scene, rehearsal_camera(arena=(prepared.table.width, prepared.table.depth))
-    board = BoardDescription()
-    lens = calibrate_lens(list(board_pictures(truth, board, BOARD_PICTURES, seed)), board).lens
-    nobody = np.full((2, 3), np.nan)
-    today = datetime.date.today()
-    overhead = calibrate_arena(scene.render(nobody, (), seed, 0), prepared.table, lens, today, MADE_WITH)
+    overhead = calibrate_overhead(prepared, seed)
     robots = {robot: calibrate_rgbd(prepared.cameras[robot], seed, index) for index, robot in enumerate(ROBOTS)}
     for robot, calibration in robots.items():
         save_rgbd(calibration, folder / f"{robot}.json")
     save_calibration(overhead, folder / "overhead.json")
     save_table(prepared.table, folder / "table.json")
+
+
+def calibrate_overhead(prepared: Prepared, seed: int) -> Calibration:
+    """Return what is found from pictures of a board held under the camera, and one of the corner tags on the bare table.
+
+    Raises:
+        CalibrationFailed: the pictures do not make a calibration.
+    """
+    truth = rehearsal_camera(arena=(prepared.table.width, prepared.table.depth))
+    lens = Lens(width=truth.width, height=truth.height, matrix=truth.matrix, distortion=truth.distortion, residual=0.0)
+    board = BoardScene(lens)
+    views = draw_views(BOARD_PICTURES, board.board, seed)
+    pictures = [board.render(*view, seed, number) for number, view in enumerate(views)]
+    nobody = np.full((2, 3), np.nan)
+    bare = prepared.scene.render(nobody, (), seed, 0)
+    return calibrate_arena(bare, prepared.table, calibrate_lens(pictures).lens, datetime.date.today(), MADE_WITH)
 
 
 def calibrate_rgbd(camera: RgbdCamera, seed: int, index: int) -> RgbdCalibration:
