@@ -47,6 +47,12 @@ COMMANDS = (
     Command("log recover", "vantage.log_commands:recover", "repair a log that was cut off"),
     Command("log verify", "learning.verify:main", "check that a log is whole, its outcomes true, its services repeatable"),
     Command("log export", "vantage.log_commands:export", "write a log for other programs"),
+    Command("table print", "vantage.table_commands:print_sheets", "PDFs at true scale for a real table: tags, board, ruler"),
+    Command("table calibrate lens", "vantage.table_commands:calibrate_lens", "measure the overhead camera's lens"),
+    Command("table calibrate arena", "vantage.table_commands:calibrate_arena", "find where the overhead camera hangs"),
+    Command("table calibrate robot", "vantage.table_commands:calibrate_robot", "write down a robot's RGB-D camera and its mount"),
+    Command("table colors", "vantage.table_commands:colors", "measure the robots' colours under your lamps"),
+    Command("table check", "vantage.table_commands:check", "look at a real table before a game"),
 )
 
 FIRST_STEPS = """examples:
@@ -68,7 +74,7 @@ def overview() -> str:
 
 def find(arguments: Sequence[str]) -> tuple[Command, Sequence[str]] | None:
     """Return the command that the arguments begin with, and the rest of them; None when they name no command."""
-    for length in (2, 1):
+    for length in (3, 2, 1):
         words = " ".join(arguments[:length])
         for command in COMMANDS:
             if len(arguments) >= length and command.words == words:
@@ -103,7 +109,7 @@ def main() -> None:
         if group:
             asked = len(arguments) > 1 and arguments[1] in ("-h", "--help")
             print(
-                "\n".join(f"vantage {command.words:<16}{command.summary}" for command in group),
+                "\n".join(f"vantage {command.words:<22}{command.summary}" for command in group),
                 file=sys.stdout if asked else sys.stderr,
             )
             sys.exit(0 if asked else 2)

@@ -1,0 +1,102 @@
+"""The checks of `vantage table check`: of a running deployment, of pictures from above."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+from schemas import ROBOTS
+from vantage.deployment import Deployment
+from vantage.setting_up.calibrating import today
+from vantage.setting_up.listening import judge_heard, listen
+from vantage.setting_up.picture_check import check_picture
+from vantage.setting_up.pictures import open_source, require_size, write_picture
+from vantage.setting_up.progress import progress
+from vantage.setting_up.settings import Check
+from vantage.setting_up.verdict import Verdict
+from vantage.tracking.calibration import Calibration, load_calibration
+from vantage.tracking.errors import UnusableCalibration
+from vantage.tracking.table import Table, default_table, load_table
+
+
+def check_table(settings: Check) -> list[Verdict]:
+    """Check what the settings name; annotated pictures are written into their folder.
+
+    Raises:
+        DeploymentError: the deployment is not up.
+        TableTrouble, UnusableTable: source or table cannot be used.
+    """
+    name = settings.deployment or ("" if settings.source else "hardware")
+    deployment = Deployment(name, settings.folder) if name else None
+    folders = [Path(), *([deployment.folder] if deployment else [])]
+    table_file = settings.table or _first("table.json", folders)
+    table = default_table() if table_file is None else load_table(table_file)
+    verdicts: list[Verdict] = []
+    calibration = _calibration(settings, folders, verdicts)
+    if deployment is not None:
+        verdicts += _check_deployment(settings, deployment, table, calibration)
+    if settings.source:
+        verdicts += _check_source(settings, table, calibration)
+    return verdicts
+
+
+def _check_deployment(settings: Check, deployment: Deployment, table: Table, calibration: Calibration | None) -> list[Verdict]:
+    # Zenoh is imported late: who checks pictures must not wait for it.
+    from vantage.bus.zenoh_bus import ZenohBus
+
+    processes = deployment.processes()
+    doing = f"listening to {deployment.name} for {settings.seconds:g} s"
+    with progress(doing) as say, ZenohBus(f"watch-{os.getpid()}", deployment.folder, settings.arena) as bus:
+        heard = listen(bus, settings.seconds, lambda passed: say(f"{doing}: {passed:.0f} s"))
+    verdicts = judge_heard(heard, processes, len(table.obstacles))
+    picture = heard.last_picture("overhead/color")
+    if picture is not None:
+        found, annotated = check_picture(picture, table, calibration)
+        write_picture(settings.to / "overhead.png", annotated)
+        verdicts += found
+    for robot in ROBOTS:
+        for key in (f"{robot}/camera/color", f"{robot}/color"):
+            view = heard.last_picture(key)
+            if view is not None:
+                write_picture(settings.to / f"{key.replace('/', '-')}.png", view)
+    return verdicts
+
+
+def _check_source(settings: Check, table: Table, calibration: Calibration | None) -> list[Verdict]:
+    verdicts: list[Verdict] = []
+    with progress("looking") as say, open_source(settings.source, settings.width, settings.height) as source:
+        for number, view in enumerate(source.views, 1):
+            if calibration is not None:
+                require_size(view, calibration.width, calibration.height, "the calibration")
+            say(f"looking at {view.name}")
+            found, annotated = check_picture(view.picture, table, calibration)
+            name = "camera" if source.live else Path(view.name).stem
+            write_picture(settings.to / f"{name}.png", annotated)
+            if not source.live and source.count != 1:
+                found = [replace(verdict, what=f"{view.name}: {verdict.what}") for verdict in found]
+            verdicts += found
+            if source.live or number >= settings.most:
+                break
+        else:
+            if not verdicts:
+                source.first()
+    return verdicts
+
+
+def _calibration(settings: Check, folders: Sequence[Path], verdicts: list[Verdict]) -> Calibration | None:
+    found = settings.calibration or _first("overhead.json", folders)
+    if found is None:
+        remedy = "run `vantage table calibrate arena`, or name the file with --calibration"
+        verdicts.append(Verdict("calibration", "there is no overhead.json", remedy))
+        return None
+    try:
+        return load_calibration(found, settings.width, settings.height, today())
+    except UnusableCalibration as error:
+        verdicts.append(Verdict("calibration", "cannot be used", str(error)))
+        return None
+
+
+def _first(name: str, folders: Sequence[Path]) -> Path | None:
+    return next((folder / name for folder in folders if (folder / name).is_file()), None)

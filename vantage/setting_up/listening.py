@@ -1,0 +1,169 @@
+"""Listening to a running table for some seconds: who is there, at what rate, how old what arrives is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from schemas import ROBOTS, TOPICS, ColorImage, Health, Layout, MalformedMessage, Message, Track
+from vantage.bus import Bus, Sample
+from vantage.deployment import Process
+from vantage.setting_up.verdict import Verdict
+from vantage.watch import Verdict as ServiceVerdict
+from vantage.watch import judge
+
+Picture = npt.NDArray[np.uint8]
+
+LISTENED = (
+    *("health/*", "layout", "overhead/color"),
+    *(f"{robot}/{part}" for robot in ROBOTS for part in ("track", "camera/color", "camera/depth", "color")),
+)
+LOWEST_SHARE = 0.5
+"""Of a topic's expected rate."""
+GREATEST_LATENCY = 0.1
+"""s from a capture to its track's arrival, median; robots drive by it."""
+LOWEST_SEEN = 0.9
+"""Share of a robot's tracks in which its tag was seen, not predicted."""
+_LOSE_FIRST = 0.3
+"""s at the beginning that do not count for rates: subscriptions come into force."""
+
+
+@dataclass
+class Stream:
+    """What came of one topic: arrivals, s, and ages on arrival, s; its last message."""
+
+    arrivals: list[float] = field(default_factory=list)
+    ages: list[float] = field(default_factory=list)
+    last: Message | None = None
+
+
+@dataclass
+class Heard:
+    """What was heard.
+
+    Attributes:
+        seconds: for how long.
+        streams: by topic.
+        ended: ns since the Unix epoch.
+        health: last health of each service.
+        seen: for each robot, whether each track was seen (True) or predicted.
+    """
+
+    seconds: float = 0.0
+    streams: dict[str, Stream] = field(default_factory=dict)
+    ended: int = 0
+    health: dict[str, Health] = field(default_factory=dict)
+    seen: dict[str, list[bool]] = field(default_factory=lambda: {robot: [] for robot in ROBOTS})
+
+    def last_picture(self, key: str) -> Picture | None:
+        """Return the last picture of a topic, uint8 [H, W, 3] RGB, None where none came."""
+        stream = self.streams.get(key)
+        if stream is None or not isinstance(stream.last, ColorImage):
+            return None
+        image = stream.last
+        return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)
+
+
+def listen(bus: Bus, seconds: float, tell: Callable[[float], None], clock: Callable[[], int] = time.time_ns) -> Heard:
+    """Take in what is said on a bus.
+
+    Args:
+        tell: called with the seconds that have passed.
+        clock: ns since the Unix epoch, the one that stamps are of.
+    """
+    bus.subscribe(*LISTENED)
+    heard = Heard()
+    began = time.monotonic()
+    while (passed := time.monotonic() - began) < seconds + _LOSE_FIRST:
+        tell(passed)
+        event = bus.receive(min(0.1, seconds + _LOSE_FIRST - passed))
+        if isinstance(event, Sample):
+            take(heard, event, passed, clock())
+    heard.seconds, heard.ended = seconds, clock()
+    return heard
+
+
+def take(heard: Heard, sample: Sample, passed: float, now: int) -> None:
+    """Take in a sample that came `passed` s after the beginning at `now` ns; strangers and malformed messages are passed over."""
+    topic = TOPICS.get(sample.key)
+    if topic is None or sample.publisher not in topic.publishers:
+        return
+    try:
+        message = sample.decode()
+    except MalformedMessage:
+        return
+    age = max(0.0, (now - message.stamp) / 1e9)
+    if isinstance(message, Health):
+        heard.health[message.service] = message
+    stream = heard.streams.setdefault(sample.key, Stream())
+    stream.last = message
+    if passed >= _LOSE_FIRST:
+        stream.arrivals.append(passed)
+        stream.ages.append(age)
+        if isinstance(message, Track):
+            heard.seen[sample.key.partition("/")[0]].append(message.seen)
+
+
+def judge_heard(heard: Heard, processes: list[Process], obstacles: int | None) -> list[Verdict]:
+    """Judge a running table.
+
+    Args:
+        processes: of the deployment.
+        obstacles: boxes that the table ought to have; None: unknown.
+    """
+    verdicts = []
+    for process in processes:
+        health = heard.health.get(process.name)
+        verdicts.append(_service(judge(process, health, 0.0 if health is None else (heard.ended - health.stamp) / 1e9)))
+    verdicts += [_rate(heard, key) for key in sorted(heard.streams) if _is_stream(key)]
+    for robot in ROBOTS:
+        verdicts += _track(heard, robot)
+    layout = heard.streams.get("layout", Stream()).last
+    if isinstance(layout, Layout) and obstacles is not None:
+        found = len(layout.obstacles)
+        remedy = f"the table's file has {obstacles}: are all tags in the overhead camera's sight?" if found != obstacles else ""
+        verdicts.append(Verdict("layout", f"{found} boxes", remedy))
+    return verdicts
+
+
+def _service(verdict: ServiceVerdict) -> Verdict:
+    name = verdict.process.name
+    remedy = "" if verdict.healthy else f'see `vantage logs {name} --deployment NAME`, and docs/table.md, "What goes wrong"'
+    return Verdict(f"service {name}", verdict.state if verdict.healthy else verdict.trouble, remedy)
+
+
+def _is_stream(key: str) -> bool:
+    return key in TOPICS and TOPICS[key].delivery == "latest"
+
+
+def _rate(heard: Heard, key: str) -> Verdict:
+    expected, stream = TOPICS[key].rate, heard.streams[key]
+    rate = len(stream.arrivals) / heard.seconds if heard.seconds else 0.0
+    figures = f"{rate:.1f} a second, expected {expected:g}"
+    slow = "camera, cable or computer is too slow: set the camera's rate and a short exposure, stop other programs"
+    return Verdict(key, figures, slow if rate < LOWEST_SHARE * expected else "")
+
+
+def _track(heard: Heard, robot: str) -> list[Verdict]:
+    stream = heard.streams.get(f"{robot}/track")
+    if stream is None or not stream.ages:
+        remedy = f"is the tracker running, and is the {robot} on the table with its tag in the overhead camera's sight?"
+        return [Verdict(f"{robot}/track", "nothing heard", remedy)]
+    middle, late = (1000.0 * float(np.percentile(stream.ages, share)) for share in (50, 95))
+    share = float(np.mean(heard.seen[robot]))
+    return [
+        Verdict(
+            f"{robot} latency",
+            f"{middle:.0f} ms from capture to here (median; 95 % within {late:.0f} ms)",
+            "" if middle <= 1000.0 * GREATEST_LATENCY else "robots steer by this: lower resolution or rate, stop other programs",
+        ),
+        Verdict(
+            f"{robot} tag",
+            f"seen in {100.0 * share:.0f} % of its tracks",
+            "" if share >= LOWEST_SEEN else "light, focus or glare: run `vantage table check --source` on a picture of the table",
+        ),
+    ]

@@ -1,0 +1,182 @@
+"""Where pictures for setting up come from: a camera, a picture, a folder of pictures or a video. RGB throughout."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import numpy.typing as npt
+
+from vantage.setting_up.trouble import TableTrouble
+
+Picture = npt.NDArray[np.uint8]
+
+PICTURES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff")
+VIDEOS = (".mp4", ".avi", ".mkv", ".mov", ".webm", ".mjpeg", ".m4v")
+_WARMING_UP = 1.0
+"""Seconds that a camera gets for its exposure to settle."""
+
+
+@dataclass(frozen=True, slots=True)
+class View:
+    """One picture.
+
+    Attributes:
+        name: of the file, or a number.
+        picture: uint8 [H, W, 3], red green blue.
+        seconds: since the source was opened, for a camera; else 0.
+    """
+
+    name: str
+    picture: Picture
+    seconds: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """An open source.
+
+    Attributes:
+        count: how many pictures there are, None where nobody knows (a camera).
+        views: the pictures, in order; of a camera without end.
+    """
+
+    name: str
+    live: bool
+    count: int | None
+    views: Iterator[View]
+
+    def first(self) -> View:
+        """Return the next picture.
+
+        Raises:
+            TableTrouble: there is none.
+        """
+        view = next(self.views, None)
+        if view is None:
+            raise TableTrouble(f"{self.name} gave no picture: is it an empty video, or the wrong camera?")
+        return view
+
+
+def read_picture(path: Path) -> Picture:
+    """Return a picture file, uint8 [H, W, 3], RGB.
+
+    Raises:
+        TableTrouble: there is none, or it is no picture.
+    """
+    if not path.is_file():
+        raise TableTrouble(f"there is no picture {path}")
+    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    if picture is None:
+        raise TableTrouble(f"{path} cannot be read as a picture: give a PNG or JPEG file")
+    return np.ascontiguousarray(picture[..., ::-1], dtype=np.uint8)
+
+
+def write_picture(path: Path, picture: Picture) -> None:
+    """Write uint8 [H, W, 3] RGB as PNG or JPEG, by the name's ending; folders are made.
+
+    Raises:
+        TableTrouble: it cannot be written there.
+    """
+    if path.suffix.lower() not in PICTURES:
+        raise TableTrouble(f"{path} does not name a picture: end it in .png or .jpg")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
+        raise TableTrouble(f"cannot write {path}: is the folder yours?")
+
+
+@contextmanager
+def open_source(source: str, width: int, height: int) -> Iterator[Source]:
+    """Open a camera (`0`, `1`, `/dev/video0`), a picture, a folder of pictures or a video.
+
+    Args:
+        width, height: asked of a camera, px.
+
+    Raises:
+        TableTrouble: there is no such thing, it holds no picture, or the camera cannot be opened.
+    """
+    path = Path(source)
+    if source.isdecimal() or source.startswith("/dev/"):
+        with _camera(source, width, height) as capture:
+            yield Source(f"camera {source}", True, None, _captured(capture, f"camera {source}", live=True))
+    elif path.is_dir():
+        files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
+        if not files:
+            raise TableTrouble(f"{path} holds no picture: put PNG or JPEG files there (it looks for {', '.join(PICTURES)})")
+        yield Source(str(path), False, len(files), (View(file.name, read_picture(file)) for file in files))
+    elif path.suffix.lower() in VIDEOS and path.is_file():
+        capture = cv2.VideoCapture(str(path))
+        try:
+            if not capture.isOpened():
+                raise TableTrouble(f"{path} cannot be read as a video: record it as MJPEG or MP4")
+            count = int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
+            yield Source(str(path), False, count if count > 0 else None, _captured(capture, path.name, live=False))
+        finally:
+            capture.release()
+    elif path.suffix.lower() in PICTURES:
+        picture = read_picture(path)
+        yield Source(str(path), False, 1, iter([View(path.name, picture)]))
+    else:
+        raise TableTrouble(
+            f"there is no picture source `{source}`: give a camera (0, /dev/video0), a picture, a folder of pictures or a video"
+        )
+
+
+def require_size(view: View, width: int, height: int, of: str) -> None:
+    """Refuse a picture that is not of the size of something else (a calibration).
+
+    Raises:
+        TableTrouble: it is not.
+    """
+    rows, columns = view.picture.shape[:2]
+    if (columns, rows) != (width, height):
+        raise TableTrouble(
+            f"{view.name} has {columns} x {rows} pixels, but {of} is for {width} x {height}: "
+            "set the camera to the same resolution (--width, --height), or calibrate the lens again at this one"
+        )
+
+
+@contextmanager
+def _camera(source: str, width: int, height: int) -> Iterator[Any]:
+    if source.startswith("/dev/") and not Path(source).exists():
+        raise TableTrouble(f"there is no camera {source}: is it plugged in? {_cameras_there()}")
+    if source.isdecimal() and not Path(f"/dev/video{source}").exists():
+        raise TableTrouble(f"there is no camera {source} (/dev/video{source}): is it plugged in? {_cameras_there()}")
+    capture = cv2.VideoCapture(int(source) if source.isdecimal() else source, cv2.CAP_V4L2)
+    try:
+        if not capture.isOpened():
+            raise TableTrouble(
+                f"camera {source} cannot be opened: does another program hold it (`vantage down hardware` frees the tracker's), "
+                "and are you in the group `video`?"
+            )
+        capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
+        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
+        yield capture
+    finally:
+        capture.release()
+
+
+def _captured(capture: Any, name: str, *, live: bool) -> Iterator[View]:
+    opened = time.monotonic()
+    number = 0
+    while True:
+        got, picture = capture.read()
+        seconds = time.monotonic() - opened
+        if not got:
+            if live:
+                raise TableTrouble(f"{name} gave no picture after {number}: unplugged, or too little bandwidth on its USB bus?")
+            return
+        number += 1
+        if not live or seconds >= _WARMING_UP:
+            yield View(f"{name}, picture {number}", np.ascontiguousarray(picture[..., ::-1]), seconds if live else 0.0)
+
+
+def _cameras_there() -> str:
+    found = sorted(str(path) for path in Path("/dev").glob("video*"))
+    return f"There is: {', '.join(found)}" if found else "No camera is plugged in at all"
