@@ -12,6 +12,7 @@ from schemas import STATE_IMAGE_SIZE
 from vantage.networks.action_vector import VECTOR_LENGTH, render_vectors
 from vantage.networks.coordinate_value import CoordinateValue
 from vantage.networks.hazard import Hazard
+from vantage.networks.hazard_attention import HazardAttention
 from vantage.networks.inputs import CHANNELS, render_inputs, render_targets
 
 
@@ -32,27 +33,36 @@ def plan_labels(
 class Batch:
     """Rendered samples: what a network is shown, and what it is to say."""
 
-    images: NDArray[np.uint8]  # [B, 128, 128, C]: hazard, view, F and T of the whole plan; coordinate-value, the view
-    vectors: NDArray[np.float32]  # [B, 121], or [B, 0] for the hazard network
+    images: NDArray[np.uint8]  # [B, 128, 128, C]: hazard, view, F and T of the whole plan; others, the view
+    vectors: NDArray[np.float32]  # [B, 121], hazard-attention: of the whole plan; [B, 0] for the hazard network
     caught: NDArray[np.bool_]  # [B, K] at the checkpoints, or [B, 1] at the horizon
     known: NDArray[np.bool_]  # as `caught`
     samples: Samples
 
 
-def render(network: Hazard | CoordinateValue, data: Dataset, samples: Samples) -> Batch:
+def render(network: Hazard | HazardAttention | CoordinateValue, data: Dataset, samples: Samples) -> Batch:
     """Render samples as the network is shown them."""
-    count = len(samples)
-    if isinstance(network, Hazard):
-        reach = network.settings.checkpoints * network.settings.spacing - 1  # longer games have longer plans
-        longest = np.minimum(data.longest_horizon(samples.episode, samples.start), reach)
-        plans = data.questions(replace(samples, horizon=longest))
-        images = np.empty((count, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, CHANNELS), np.uint8)
-        render_inputs(plans.views, plans.view_of, plans.positions, plans.first, plans.horizons, samples.symmetry, images)
-        caught, known = plan_labels(data, samples, network.settings.checkpoints, network.settings.spacing)
-        return Batch(images, np.empty((count, 0), np.float32), caught, known, samples)
+    if isinstance(network, CoordinateValue):
+        images, vectors = _view_and_vector(data, samples)
+        return Batch(images, vectors, samples.caught[:, None], np.ones((len(samples), 1), np.bool_), samples)
+    shape = network.settings
+    reach = shape.checkpoints * shape.spacing - 1  # longer games have longer plans
+    longest = np.minimum(data.longest_horizon(samples.episode, samples.start), reach)
+    whole = replace(samples, horizon=longest)
+    caught, known = plan_labels(data, samples, shape.checkpoints, shape.spacing)
+    if isinstance(network, HazardAttention):
+        return Batch(*_view_and_vector(data, whole), caught, known, samples)
+    plans = data.questions(whole)
+    images = np.empty((len(samples), STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, CHANNELS), np.uint8)
+    render_inputs(plans.views, plans.view_of, plans.positions, plans.first, plans.horizons, samples.symmetry, images)
+    return Batch(images, np.empty((len(samples), 0), np.float32), caught, known, samples)
+
+
+def _view_and_vector(data: Dataset, samples: Samples) -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    """Return the views in colour [B, 128, 128, 3] and the plans up to the horizons as numbers [B, 121]."""
     asked = data.questions(samples)
-    images = np.empty((count, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3), np.uint8)
+    images = np.empty((len(samples), STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3), np.uint8)
     render_targets(asked.views[asked.view_of], samples.symmetry, images, np.empty(images.shape[:3], np.bool_))
-    vectors = np.empty((count, VECTOR_LENGTH), np.float32)
+    vectors = np.empty((len(samples), VECTOR_LENGTH), np.float32)
     render_vectors(asked.positions, asked.first, asked.horizons, samples.symmetry, vectors)
-    return Batch(images, vectors, samples.caught[:, None], np.ones((count, 1), np.bool_), samples)
+    return images, vectors

@@ -158,7 +158,7 @@ def vpn_notes_of(recipe: VpnRecipe) -> list[str]:
     return [f"Not the paper's recipe: {'; '.join(changed)}." if changed else "The paper's recipe."]
 
 
-CaughtModel = Literal["hazard", "coordinate-path", "coordinate-end"]
+CaughtModel = Literal["hazard", "hazard-attention", "coordinate-path", "coordinate-end"]
 
 
 @dataclass(frozen=True)
@@ -194,6 +194,7 @@ CAUGHT_PRESETS: dict[str, CaughtRecipe] = {
 
 def caught_notes_of(model: CaughtModel, recipe: CaughtRecipe) -> list[str]:
     """Return what people should know of weights trained so."""
-    kind = "Beyond the paper: one pass for all horizons." if model == "hazard" else "The paper's baseline coordinate-value."
+    beyond = model in ("hazard", "hazard-attention")
+    kind = "Beyond the paper: one pass for all horizons." if beyond else "The paper's baseline coordinate-value."
     narrower = "; narrower than the paper's encoder" if recipe.encoder != PAPER else ""
     return [kind, f"Recipe: {recipe.symmetries} symmetries, batch {recipe.batch}, learning rate by {recipe.schedule}{narrower}."]

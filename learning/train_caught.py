@@ -28,6 +28,7 @@ from learning.tensors import in_unit_range, on_device
 from vantage.log import source_commit
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
 from vantage.networks.hazard import Hazard, HazardSettings, survival_loss
+from vantage.networks.hazard_attention import HazardAttention, HazardAttentionSettings
 from vantage.networks.weights import ModelCard, amend, card_of, fast_precision, save
 
 
@@ -39,8 +40,9 @@ class TrainCaughtSettings:
     """
 
     model: CaughtModel = "hazard"
-    """`hazard`: state image, F and T of the whole plan -> the chance of a catch in every interval. `coordinate-path`,
-    `coordinate-end`: the paper's baseline, told the path every ten steps and the horizon, or the end of the path alone."""
+    """`hazard`: state image, F and T of the whole plan -> the chance of a catch in every interval. `hazard-attention`: the same,
+    from the plan as a sequence of positions. `coordinate-path`, `coordinate-end`: the paper's baseline, told the path every ten
+    steps and the horizon, or the end of the path alone."""
     data: Path = Path("dataset")
     """The training set."""
     to: Path | None = None
@@ -84,8 +86,10 @@ def resolve(settings: TrainCaughtSettings) -> CaughtRecipe:
     )
 
 
-def make_network(model: CaughtModel, recipe: CaughtRecipe) -> Hazard | CoordinateValue:
+def make_network(model: CaughtModel, recipe: CaughtRecipe) -> Hazard | HazardAttention | CoordinateValue:
     """Return an untrained network."""
+    if model == "hazard-attention":
+        return HazardAttention(HazardAttentionSettings(encoder=recipe.encoder))
     shape: dict[str, Any] = {name: getattr(recipe, name) for name in ("encoder", "whole_image", "dropout")}
     if model == "hazard":
         return Hazard(HazardSettings(**shape))
@@ -110,7 +114,8 @@ class Trainer:
         with torch.autocast(self.device.type, self.precision, enabled=self.precision != torch.float32):
             if isinstance(self.network, Hazard):
                 return self.network(pixels).float()
-            return self.network(pixels, vectors)[:, None].float()
+            found = self.network(pixels, vectors).float()
+            return found if isinstance(self.network, HazardAttention) else found[:, None]
 
     def tensors(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """Return images, vectors, caught and known on the device."""
@@ -145,7 +150,7 @@ class Trainer:
         for batch in batches:
             images, vectors, _, _ = self.tensors(batch)
             logits = self.logits(images, vectors).cpu().numpy()
-            if isinstance(self.network, Hazard):
+            if isinstance(self.network, Hazard | HazardAttention):
                 scores.append(caught_logits(logits, batch.samples.horizon, self.network.settings.spacing))
             else:
                 scores.append(logits[:, 0])

@@ -14,6 +14,7 @@ from learning.methods.method import Questions
 from learning.methods.shown import Show, action_images
 from learning.methods.survival import caught_logits
 from vantage.networks import hazard
+from vantage.networks.hazard_attention import HazardAttention
 from vantage.networks.inference import folded
 from vantage.networks.vpt_tob import ViewPredictor
 from vantage.networks.weights import ModelCard
@@ -54,10 +55,21 @@ class CaughtAtHorizon:
 
 
 class Hazard:
-    """The one-pass hazard network: asked once a plan, it answers for every horizon."""
+    """A one-pass hazard network: asked once a plan, it answers for every horizon.
 
-    def __init__(self, name: str, network: hazard.Hazard, cards: dict[str, ModelCard], machine: Machine) -> None:
-        self.name, self.cards = name, cards
+    Args:
+        show: renders whole plans as the network is shown them.
+    """
+
+    def __init__(
+        self,
+        name: str,
+        network: hazard.Hazard | HazardAttention,
+        cards: dict[str, ModelCard],
+        machine: Machine,
+        show: Show = action_images,
+    ) -> None:
+        self.name, self.cards, self._show = name, cards, show
         self._network, self._machine = machine.prepared(folded(network)), machine
 
     def judge(self, questions: Questions) -> NDArray[np.float32]:
@@ -77,6 +89,6 @@ class Hazard:
         whole = replace(plans, horizons=np.minimum(plans.last - plans.first, reach))
 
         def compute(rows: NDArray[np.int64]) -> Tensor:
-            return self._network(*action_images(whole, rows, self._machine))
+            return self._network(*self._show(whole, rows, self._machine))
 
         return self._machine.run(compute, len(plans))

@@ -65,6 +65,11 @@ def _hazard(name: str, folder: Path, machine: Machine) -> Method:
     return Hazard(name, network, cards, machine)
 
 
+def _hazard_attention(name: str, folder: Path, machine: Machine) -> Method:
+    network, cards = _network(name, folder, "hazard-attention")
+    return Hazard(name, network, cards, machine, view_and_vector)
+
+
 def _caught_head(name: str, folder: Path, machine: Machine) -> Method:
     network, cards = _network(name, folder, "vpt-tob")
     card = cards["vpt-tob"]
@@ -126,6 +131,12 @@ METHODS: dict[str, Row] = {
         ("hazard",),
         _hazard,
         ("train caught --model hazard",),
+    ),
+    "hazard-attention": Row(
+        "the same, shown the plan as a sequence of positions",
+        ("hazard-attention",),
+        _hazard_attention,
+        ("train caught --model hazard-attention",),
     ),
     "vpn-on-true": Row(
         "ablation: VPT-TOB with a VPN that learnt from true views",

@@ -21,8 +21,8 @@ def what_can_be_known(found: Findings) -> list[str]:
         f"The *{ORACLE}* knows the whole arena; a hider has seen one view. The *{VIEW_ORACLE}* plays each game on in arenas "
         "drawn from all that look exactly the same to the hider: boxes that it sees stay where they are, boxes that it does not "
         "see are drawn anew from the distribution of the layout `random`; the seeker's pose follows from the view at the start, "
-        "where the two face each other. So, up to its number of simulations, it is the ceiling of every method that is shown this view and "
-        "this plan, however large the network and however many its samples. The oracles judged the first "
+        "where the two face each other. So, up to its number of simulations, it is the ceiling of every method that is shown "
+        "this view and this plan, however large the network and however many its samples. The oracles judged the first "
         f"{asked['methods'][VIEW_ORACLE]['examples']:,} examples.",
         "",
     ]

@@ -5,7 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-Model = Literal["vpt-tob", "self-perspective", "vector-action", "whole-image", "coordinate-path", "coordinate-end", "hazard"]
+Model = Literal[
+    "vpt-tob",
+    "self-perspective",
+    "vector-action",
+    "whole-image",
+    "coordinate-path",
+    "coordinate-end",
+    "hazard",
+    "hazard-attention",
+]
 VIEW_MODELS: tuple[Model, ...] = ("vpt-tob", "self-perspective", "vector-action", "whole-image")
 """Predict a view, which a VPN then judges; the others say caught or not themselves."""
 COMPARED: tuple[Model, ...] = ("vpt-tob", "self-perspective", "vector-action", "hazard", "coordinate-path", "coordinate-end")

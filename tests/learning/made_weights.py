@@ -11,6 +11,7 @@ from learning.dataset import Dataset
 from schemas import Rules
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
 from vantage.networks.hazard import Hazard, HazardSettings
+from vantage.networks.hazard_attention import HazardAttention, HazardAttentionSettings
 from vantage.networks.vector_action import VectorAction, VectorActionSettings
 from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import SelfPerspective, VptTob, VptTobSettings
@@ -37,6 +38,7 @@ def untrained() -> dict[str, nn.Module]:
         "coordinate-path": CoordinateValue(CoordinateValueSettings(variant="path", encoder=NARROW, hidden=8)),
         "coordinate-end": CoordinateValue(CoordinateValueSettings(variant="end", encoder=NARROW, hidden=8)),
         "hazard": Hazard(HazardSettings(encoder=NARROW, hidden=8)),
+        "hazard-attention": HazardAttention(HazardAttentionSettings(encoder=NARROW, size=16, heads=2, layers=1)),
         **{stem: Vpn(VpnSettings(width=4, hidden=8)) for stem in ("vpn", "vpn-on-true")},
         **{f"{stem}-vpn": Vpn(VpnSettings(width=4, hidden=8)) for stem in ("whole-image", "self-perspective", "vector-action")},
     }

@@ -17,6 +17,7 @@ from safetensors.torch import save as save_tensors
 
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
 from vantage.networks.hazard import Hazard, HazardSettings
+from vantage.networks.hazard_attention import HazardAttention, HazardAttentionSettings
 from vantage.networks.vector_action import VectorAction, VectorActionSettings
 from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import SelfPerspective, VptTob, VptTobSettings
@@ -42,6 +43,7 @@ ARCHITECTURES: dict[str, tuple[Callable[[Any], Any], type]] = {  # network, sett
     "vector-action": (VectorAction, VectorActionSettings),
     "vpn": (Vpn, VpnSettings),
     "hazard": (Hazard, HazardSettings),
+    "hazard-attention": (HazardAttention, HazardAttentionSettings),
     "coordinate-value": (CoordinateValue, CoordinateValueSettings),
 }
 
