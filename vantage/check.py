@@ -10,6 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from schemas import CALLS, TOPICS
+from schemas.topics import CAMERAS
 from vantage.deployment import Program, configuration_of, programs_of
 from vantage.service import Declaration
 
@@ -17,9 +18,14 @@ PEOPLE = {"control"}
 """Topics that people publish from the command line or the console: no service of a deployment has to."""
 
 
-def _may_lack_publisher(key: str) -> bool:
-    """Whether a deployment is sound although nobody in it publishes the key: people do, or it is some service's health."""
-    return key in PEOPLE or key.startswith("health/")
+def _may_lack_publisher(key: str, services: Iterable[str]) -> bool:
+    """Whether a deployment is sound although nobody in it publishes the key.
+
+    People do, or it is some service's health, or the frames of a camera: where no service shows frames, cameras are devices.
+    """
+    if key in PEOPLE or key.startswith("health/"):
+        return True
+    return TOPICS[key].publishers == CAMERAS and set(CAMERAS).isdisjoint(services)
 
 
 def declaration_of(service: str) -> Declaration:
@@ -63,6 +69,7 @@ def troubles_with_wiring(declarations: Iterable[Declaration]) -> list[str]:
     troubles = []
     publishers: dict[str, list[str]] = {}
     servers: dict[str, list[str]] = {}
+    here = {declaration.name for declaration in declarations}
     for declaration in declarations:
         for key in declaration.outputs:
             publishers.setdefault(key, []).append(declaration.name)
@@ -72,7 +79,7 @@ def troubles_with_wiring(declarations: Iterable[Declaration]) -> list[str]:
         if not declaration.raw:
             for key in declaration.inputs:
                 found = publishers.get(key, [])
-                if _may_lack_publisher(key) and not found:
+                if not found and _may_lack_publisher(key, here):
                     continue
                 if len(found) != 1:
                     troubles.append(f"{declaration.name} hears {key}, published by {_listed(found)} (exactly one must)")
@@ -90,7 +97,6 @@ def troubles_with_wiring(declarations: Iterable[Declaration]) -> list[str]:
             for key in declaration.serves
             if declaration.name != CALLS[key].server
         )
-        here = {other.name for other in declarations}
         missing = [names for names in sorted(declaration.heeds) if here.isdisjoint(names.split("|"))]
         if missing:
             waited_for = _listed(names.replace("|", " or ") for names in missing)
