@@ -122,8 +122,8 @@ def cast_pixels(
                 high[count] = max((disc_right + ROBOT_RADIUS) / nearer, (disc_right + ROBOT_RADIUS) / farther)
     for v in range(rows):
         for u in range(columns):
-            a = np.float64(rightward[v, u])
-            fall = np.float64(downward[v, u])
+            a = float(rightward[v, u])
+            fall = float(downward[v, u])
             along_x = cosine + sine * a
             along_y = sine - cosine * a
             along_x = along_x if along_x != 0.0 else 1e-300
@@ -220,7 +220,7 @@ def expose_depth(
             if z_ahead <= 0.0:
                 depth_out[v, u] = 0
                 continue
-            z = np.float64(z_ahead) * per_ahead[v, u]
+            z = float(z_ahead) * per_ahead[v, u]
             if stereo_shift > 0.0:
                 place = u - stereo_shift / z
                 if place >= leftmost + 0.5:

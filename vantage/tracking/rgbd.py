@@ -2,8 +2,9 @@
 
 The contract (`schemas.DepthImage`, `vantage.world.camera`): a pinhole over the robot's centre that looks horizontally along
 its heading, depth along that axis, colour registered. A real camera is tilted, sits off the centre, has two lenses and more
-pixels: `RgbdPreparer` registers depth to the colour lens, turns the points into the level frame and gathers them into the
-published pixels. What it cannot see stays 0.
+pixels: `RgbdPreparer` turns every depth pixel into a point, looks up its colour where the colour lens sees it (what is nearer
+hides it), and gathers the points, as seen from the level frame, into the published pixels. What the depth lens cannot see stays
+0; what only the colour lens cannot see is black, which the filter takes for no robot.
 
 Level frame: origin over the robot's centre at the depth lens's height, x right of the heading, y down, z along the heading.
 """
@@ -20,7 +21,7 @@ import numpy.typing as npt
 
 from schemas import Intrinsics
 from vantage.tracking.colors import ColorCorrection
-from vantage.tracking.rgbd_kernels import gather, level, register
+from vantage.tracking.rgbd_kernels import BLOCK, gather, project, sort_into_cells
 from vantage.tracking.rgbd_lens import Lens, lens_of, pixel_rays
 from vantage.world.arena import MOUNT_HEIGHT
 
@@ -32,11 +33,11 @@ PUBLISHED_HEIGHT = 120
 PUBLISHED_FOV = math.radians(86.0)
 
 _FINEST = 0.75
-"""Published pixels per camera pixel, at most: beyond, the forward projection would leave pixels without a sample."""
-_STRETCH = 1.25
-"""Room for slanted surfaces where the colour lens is finer than the depth lens."""
+"""Published pixels per depth pixel, at most: beyond, slanted surfaces would leave published pixels without a sample."""
 _FEWEST_SHARE = 0.125
 """Share of a published pixel's nominal samples below which it is a hole: single samples at an edge are flying pixels."""
+_DENSE = 8.0
+"""Samples a published pixel from which on every second one's colour is enough."""
 
 Turn = tuple[float, float, float, float, float, float, float, float, float]
 Shift = tuple[float, float, float]
@@ -140,61 +141,41 @@ class RgbdPreparer:
         self.calibration = calibration
         self.intrinsics = published_intrinsics(calibration, width, height)
         depth_lens, color_lens = calibration.depth, calibration.color
-        if self.intrinsics.fx > _FINEST * min(depth_lens.fx, depth_lens.fy, color_lens.fx, color_lens.fy):
+        if self.intrinsics.fx > _FINEST * min(depth_lens.fx, depth_lens.fy):
             raise UnusableRgbdCalibration(
-                f"{width} published columns are finer than the camera's {depth_lens.width} x {depth_lens.height} depth and "
-                f"{color_lens.width} x {color_lens.height} colour pixels; publish at most half as many columns as the camera has"
+                f"{width} published columns are finer than the camera's {depth_lens.width} x {depth_lens.height} depth pixels; "
+                "publish fewer columns or let the camera give more"
             )
         rotation = np.array(calibration.rotation, dtype=np.float64).reshape(3, 3)
-        shift = np.array(calibration.translation, dtype=np.float64)
-        to_level = level_rotation(calibration.tilt) @ rotation.T
-        origin = np.array([-calibration.left, 0.0, calibration.forward]) - to_level @ shift
-        self._shift = tuple(map(float, shift))
-        self._origin = tuple(map(float, origin))
-        self._depth_rays = _rotated_rays(depth_lens, rotation)
-        color_rays = pixel_rays(color_lens)
-        self._level_rays = _rotated_rays(color_lens, to_level).reshape(-1, 3)
-        self._largest_square = 1.2 * float(np.max(np.sum(np.square(color_rays), axis=-1)))
-        self._distortion = np.array(color_lens.distortion, dtype=np.float32)
-        stretch = max(color_lens.fx / depth_lens.fx, color_lens.fy / depth_lens.fy)
-        self._footprint = _STRETCH * stretch if stretch > 1.0 else 1.0
-        density = (color_lens.fx * color_lens.fy) / (self.intrinsics.fx * self.intrinsics.fy)
+        density = (depth_lens.fx * depth_lens.fy) / (self.intrinsics.fx * self.intrinsics.fy)
         self._fewest = max(1, int(_FEWEST_SHARE * density))
-        self._matrix = np.array(calibration.correction.matrix, dtype=np.float32).reshape(3, 3)
-        self._offset = np.array(calibration.correction.offset, dtype=np.float32)
-        pixels, cells = color_lens.width * color_lens.height, width * height
-        self._registered = np.zeros((color_lens.height, color_lens.width), np.float32)
-        self._cells = np.empty(pixels, np.int32)
-        self._depths = np.empty(pixels, np.float32)
-        self._order = np.empty(pixels, np.int32)
+        self._color_every = 2 if density >= _DENSE else 1
+        self._level_rays = _rotated_rays(depth_lens, level_rotation(calibration.tilt))
+        self._level_origin = np.array([-calibration.left, 0.0, calibration.forward])
+        self._pinhole = np.array([self.intrinsics.fx, self.intrinsics.fy, self.intrinsics.cx, self.intrinsics.cy])
+        self._color_rays = _rotated_rays(depth_lens, rotation)
+        self._color_origin = np.array(calibration.translation, dtype=np.float64)
+        self._color_lens = np.array([color_lens.fx, color_lens.fy, color_lens.cx, color_lens.cy])
+        self._distortion = np.array(color_lens.distortion, dtype=np.float64)
+        self._largest_square = 1.2 * float(np.max(np.sum(np.square(pixel_rays(color_lens)), axis=-1)))
+        self._matrix = np.array(calibration.correction.matrix, dtype=np.float64).reshape(3, 3)
+        self._offset = np.array(calibration.correction.offset, dtype=np.float64)
+
+        size, cells = (depth_lens.height, depth_lens.width), width * height
+        self._cells = np.empty(size, np.int32)
+        self._depths = np.empty(size, np.float32)
+        self._places = np.empty(size, np.int32)
+        self._color_depths = np.empty(size, np.float32)
+        self._nearest = np.empty((-(-color_lens.height // BLOCK), -(-color_lens.width // BLOCK)), np.float32)
         self._starts = np.empty(cells + 1, np.int32)
         self._ends = np.empty(cells, np.int32)
-        self._sorted = np.empty(256, np.float32)
+        self._sample_depths = np.empty(depth_lens.width * depth_lens.height, np.float32)
+        self._sample_places = np.empty(depth_lens.width * depth_lens.height, np.int32)
+        self._ordered = np.empty(256, np.float32)
+        self.shape = (height, width)
+        """Rows and columns of the published pictures."""
         self._depth_out = np.zeros((height, width), np.uint16)
         self._color_out = np.zeros((height, width, 3), np.uint8)
-
-    def register(self, depth: Depths) -> npt.NDArray[np.float32]:
-        """Depth in the colour lens's picture: uint16 [H, W] counts -> float32 [Hc, Wc] m along its axis, 0 = none; reused."""
-        lens = self.calibration.depth
-        require_picture("depth", depth, np.uint16, (lens.height, lens.width))
-        color = self.calibration.color
-        register(
-            depth,
-            self._depth_rays,
-            *self._shift,
-            color.fx,
-            color.fy,
-            color.cx,
-            color.cy,
-            self._distortion,
-            any(color.distortion),
-            self._largest_square,
-            self._footprint,
-            self.calibration.depth_unit,
-            self.calibration.nearest,
-            self._registered,
-        )
-        return self._registered
 
     def prepare(self, depth: Depths, color: Bytes) -> tuple[Depths, Bytes, Intrinsics]:
         """depth uint16 [H, W] counts, color uint8 [H, W, 3] RGB -> depth uint16 [h, w] mm, color uint8 [h, w, 3], intrinsics.
@@ -202,38 +183,57 @@ class RgbdPreparer:
         The arrays returned are the preparer's own and overwritten by the next call. Raises ValueError where the pictures do
         not fit the calibration.
         """
-        lens = self.calibration.color
-        require_picture("colour", color, np.uint8, (lens.height, lens.width, 3))
-        registered = self.register(depth)
-        pinhole = self.intrinsics
-        rows, columns = self._depth_out.shape
-        most = level(
-            registered.reshape(-1),
+        depth_lens, color_lens = self.calibration.depth, self.calibration.color
+        require_picture("depth", depth, np.uint16, (depth_lens.height, depth_lens.width))
+        require_picture("colour", color, np.uint8, (color_lens.height, color_lens.width, 3))
+        project(
+            depth,
+            self.calibration.depth_unit,
+            self.calibration.nearest,
             self._level_rays,
-            *self._origin,
-            pinhole.fx,
-            pinhole.fy,
-            pinhole.cx,
-            pinhole.cy,
-            rows,
-            columns,
+            self._level_origin,
+            self._pinhole,
+            *self.shape,
+            self._color_rays,
+            self._color_origin,
+            self._color_lens,
+            self._distortion,
+            any(color_lens.distortion),
+            self._largest_square,
+            color_lens.height,
+            color_lens.width,
+            self._color_every,
             self._cells,
             self._depths,
+            self._places,
+            self._color_depths,
+            self._nearest,
             self._starts,
         )
-        if most > self._sorted.shape[0]:
-            self._sorted = np.empty(2 * most, np.float32)
-        gather(
+        most = sort_into_cells(
             self._cells,
             self._depths,
-            color.reshape(-1, 3),
+            self._places,
+            self._color_depths,
+            self._nearest,
+            color_lens.width,
+            self._color_every,
             self._starts,
             self._ends,
-            self._order,
-            self._sorted,
+            self._sample_depths,
+            self._sample_places,
+        )
+        if most > self._ordered.shape[0]:
+            self._ordered = np.empty(2 * most, np.float32)
+        gather(
+            self._starts,
+            self._sample_depths,
+            self._sample_places,
+            color.reshape(-1, 3),
             self._fewest,
             self._matrix,
             self._offset,
+            self._ordered,
             self._depth_out.reshape(-1),
             self._color_out.reshape(-1, 3),
         )
@@ -247,10 +247,10 @@ def level_rotation(tilt: float) -> npt.NDArray[np.float64]:
 
 
 def _rotated_rays(lens: Lens, rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """Directions of a lens's pixels with z = 1 before the rotation: float32 [H, W, 3]."""
+    """Directions of a lens's pixels with z = 1 before the rotation: float32 [H, 3, W]."""
     slopes = pixel_rays(lens)
     rays = np.concatenate((slopes, np.ones((lens.height, lens.width, 1))), axis=-1)
-    return np.ascontiguousarray((rays @ rotation.T).astype(np.float32))
+    return np.ascontiguousarray(np.moveaxis(rays @ rotation.T, -1, 1).astype(np.float32))
 
 
 def require_picture(name: str, picture: npt.NDArray[np.generic], kind: type[np.generic], shape: tuple[int, ...]) -> None:

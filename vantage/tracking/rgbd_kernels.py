@@ -1,8 +1,6 @@
-"""Compiled steps of `rgbd.RgbdPreparer`: registration of depth to the colour lens, and gathering into the published pixels."""
+"""Compiled steps of `rgbd.RgbdPreparer`: projection of every depth pixel, and gathering into the published pixels."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 import numpy.typing as npt
@@ -10,208 +8,255 @@ import numpy.typing as npt
 from vantage.compiled import kernel
 
 Floats32 = npt.NDArray[np.float32]
+Integers32 = npt.NDArray[np.int32]
 Depths = npt.NDArray[np.uint16]
 Bytes = npt.NDArray[np.uint8]
 
+BLOCK = 4
+"""px: side of the blocks of colour pixels whose nearest depth decides what hides what from the colour lens. One pixel would not
+do: where the colour lens sees a surface at a wider angle than the depth lens, its samples lie apart and what is behind shows."""
+HIDDEN = 0.04
+"""m behind the nearest of its block from which a point counts as hidden from the colour lens."""
+_NEAREST = 1e-3
+
 
 @kernel
-def register(
+def project(
     depth: Depths,  # [H, W]
-    rays: Floats32,  # [H, W, 3]: direction of each depth pixel in the colour frame, per unit of depth
-    shift_x: float,
-    shift_y: float,
-    shift_z: float,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    distortion: Floats32,  # [5]
-    is_distorted: bool,
-    largest_square: float,
-    footprint: float,
     unit: float,
     nearest: float,
-    registered_out: Floats32,  # [Hc, Wc]
+    level_rays: Floats32,  # [H, 3, W]: direction of each depth pixel in the level frame, per unit of depth
+    level_origin: npt.NDArray[np.float64],  # [3], of the depth lens in the level frame, m
+    pinhole: npt.NDArray[np.float64],  # [4]: fx, fy, cx, cy of the published picture, px
+    rows_out: int,
+    columns_out: int,
+    color_rays: Floats32,  # [H, 3, W]: the same in the frame of the colour lens
+    color_origin: npt.NDArray[np.float64],  # [3]
+    lens: npt.NDArray[np.float64],  # [4]: fx, fy, cx, cy of the colour lens, px
+    distortion: npt.NDArray[np.float64],  # [5]
+    is_distorted: bool,
+    largest_square: float,
+    color_rows: int,
+    color_columns: int,
+    color_every: int,
+    cells_out: Integers32,  # [H, W]
+    depths_out: Floats32,  # [H, W]
+    places_out: Integers32,  # [H, W]
+    color_depths_out: Floats32,  # [H, W]
+    nearest_out: Floats32,  # [color_rows / BLOCK, color_columns / BLOCK], rounded up
+    starts_out: Integers32,  # [cells + 1]
 ) -> None:
-    """Forward projection of depth into the colour picture: the nearest wins; 0 = no return. Depth along the colour axis, m.
+    """Where each depth pixel lies in the published picture and in the colour picture.
 
-    A depth pixel covers the colour pixels whose centres lie in a square of side `footprint` px around its projection, or,
-    where `footprint` <= 1, the one pixel it falls into. `largest_square`: beyond this x^2 + y^2 the distortion is not trusted.
+    `cells_out`: published pixel, -1 = none; `depths_out`: depth along the level axis, m. `places_out`: colour pixel, -1 = none
+    or not asked (`color_every` 2 asks every second pixel, as on a chessboard); `color_depths_out`: depth along the colour
+    lens's axis, m; `nearest_out`: the least of it in each block of colour pixels. `starts_out[cell + 1]`: pixels in the cell.
+    `largest_square`: beyond this x^2 + y^2 the distortion is not trusted.
     """
     rows, columns = depth.shape
-    rows_out, columns_out = registered_out.shape
-    k1 = np.float64(distortion[0])
-    k2 = np.float64(distortion[1])
-    p1 = np.float64(distortion[2])
-    p2 = np.float64(distortion[3])
-    k3 = np.float64(distortion[4])
-    half = 0.5 * footprint
-    for v in range(rows_out):
-        for u in range(columns_out):
-            registered_out[v, u] = np.float32(np.inf)
+    for block_v in range(nearest_out.shape[0]):
+        for block_u in range(nearest_out.shape[1]):
+            nearest_out[block_v, block_u] = np.float32(np.inf)
+    for cell in range(starts_out.shape[0]):
+        starts_out[cell] = 0
+    lowest = max(1, int(np.ceil(nearest / unit - 1e-9)))
+    across = np.empty(columns, np.float32)
+    down = np.empty(columns, np.float32)
+    axial = np.empty(columns, np.float32)
     for v in range(rows):
+        # A row at a time, arithmetic and decisions apart: the former then runs in vector instructions.
+        _project_row(depth[v], unit, color_rays[v], color_origin, distortion, is_distorted, largest_square, across, down, axial)
+        _to_pixels(across, down, lens)
+        for u in range((v & 1) if color_every == 2 else 0, columns, color_every):
+            places_out[v, u] = -1
+            if depth[v, u] < lowest or axial[u] <= _NEAREST:
+                continue
+            if 0.0 <= across[u] < color_columns and 0.0 <= down[u] < color_rows:
+                column = int(across[u])
+                row = int(down[u])
+                places_out[v, u] = row * color_columns + column
+                color_depths_out[v, u] = axial[u]
+                if axial[u] < nearest_out[row // BLOCK, column // BLOCK]:
+                    nearest_out[row // BLOCK, column // BLOCK] = axial[u]
+        _project_row(depth[v], unit, level_rays[v], level_origin, distortion, False, np.inf, across, down, axial)
+        _to_pixels(across, down, pinhole)
         for u in range(columns):
-            count = depth[v, u]
-            if count == 0:
+            cells_out[v, u] = -1
+            if depth[v, u] < lowest or axial[u] <= _NEAREST:
                 continue
-            z = unit * count
-            if z < nearest:
-                continue
-            z_color = z * rays[v, u, 2] + shift_z
-            if z_color <= 1e-3:
-                continue
-            inverse = 1.0 / z_color
-            x = (z * rays[v, u, 0] + shift_x) * inverse
-            y = (z * rays[v, u, 1] + shift_y) * inverse
-            if is_distorted:
-                square = x * x + y * y
-                if square > largest_square:
-                    continue
-                radial = 1.0 + square * (k1 + square * (k2 + square * k3))
-                bent = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
-                y = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
-                x = bent
-            across = fx * x + cx
-            down = fy * y + cy
-            if not (-2.0 < across < columns_out + 1.0 and -2.0 < down < rows_out + 1.0):
-                continue
-            value = np.float32(z_color)
-            if footprint <= 1.0:
-                column = int(across + 2.5) - 2
-                row = int(down + 2.5) - 2
-                if 0 <= column < columns_out and 0 <= row < rows_out and value < registered_out[row, column]:
-                    registered_out[row, column] = value
-                continue
-            for row in range(max(0, math.ceil(down - half)), min(rows_out, math.ceil(down + half))):
-                for column in range(max(0, math.ceil(across - half)), min(columns_out, math.ceil(across + half))):
-                    if value < registered_out[row, column]:
-                        registered_out[row, column] = value
-    for v in range(rows_out):
-        for u in range(columns_out):
-            if registered_out[v, u] == np.inf:
-                registered_out[v, u] = np.float32(0.0)
+            if 0.0 <= across[u] < columns_out and 0.0 <= down[u] < rows_out:
+                cell = int(down[u]) * columns_out + int(across[u])
+                cells_out[v, u] = cell
+                depths_out[v, u] = axial[u]
+                starts_out[cell + 1] += 1
 
 
 @kernel
-def level(
-    registered: Floats32,  # [N]: Hc x Wc pixels
-    rays: Floats32,  # [N, 3]: direction of each colour pixel in the level frame, per unit of depth
-    origin_x: float,
-    origin_y: float,
-    origin_z: float,
-    fx: float,
-    fy: float,
-    cx: float,
-    cy: float,
-    rows_out: int,
-    columns_out: int,
-    cells_out: npt.NDArray[np.int32],  # [N]
-    depths_out: Floats32,  # [N]
-    starts_out: npt.NDArray[np.int32],  # [cells + 1]
-) -> int:
-    """Which published pixel each colour pixel with depth falls into (-1: none), and its depth along the level axis in m.
+def _project_row(
+    depth: Depths,  # [W]
+    unit: float,
+    rays: Floats32,  # [3, W]
+    origin: npt.NDArray[np.float64],  # [3]
+    distortion: npt.NDArray[np.float64],  # [5]
+    is_distorted: bool,
+    largest_square: float,
+    x_out: Floats32,  # [W]
+    y_out: Floats32,  # [W]
+    axial_out: Floats32,  # [W]
+) -> None:
+    """Slopes (distorted) and depth along the axis of a row of depth pixels before a lens; NaN beyond `largest_square`."""
+    scale = np.float32(unit)
+    origin_x = np.float32(origin[0])
+    origin_y = np.float32(origin[1])
+    origin_z = np.float32(origin[2])
+    one = np.float32(1.0)
+    for u in range(depth.shape[0]):
+        z = scale * np.float32(depth[u])
+        axial = z * rays[2, u] + origin_z
+        inverse = one / axial
+        axial_out[u] = axial
+        x_out[u] = (z * rays[0, u] + origin_x) * inverse
+        y_out[u] = (z * rays[1, u] + origin_y) * inverse
+    if not is_distorted:
+        return
+    k1, k2, p1, p2, k3 = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
+    for u in range(depth.shape[0]):
+        x = np.float64(x_out[u])
+        y = np.float64(y_out[u])
+        square = x * x + y * y
+        radial = 1.0 + square * (k1 + square * (k2 + square * k3))
+        radial = radial if square <= largest_square else np.nan
+        x_out[u] = x * radial + 2.0 * p1 * x * y + p2 * (square + 2.0 * x * x)
+        y_out[u] = y * radial + p1 * (square + 2.0 * y * y) + 2.0 * p2 * x * y
 
-    Leaves in `starts_out` where each published pixel's samples begin when sorted by pixel; returns the most of any.
-    """
-    cells = rows_out * columns_out
-    for cell in range(cells + 1):
-        starts_out[cell] = 0
-    for index in range(registered.shape[0]):
-        cells_out[index] = -1
-        z = np.float64(registered[index])
-        if z <= 0.0:
-            continue
-        z_level = z * rays[index, 2] + origin_z
-        if z_level <= 1e-3:
-            continue
-        inverse = 1.0 / z_level
-        across = fx * (z * rays[index, 0] + origin_x) * inverse + cx + 0.5
-        down = fy * (z * rays[index, 1] + origin_y) * inverse + cy + 0.5
-        if not (0.0 <= across < columns_out and 0.0 <= down < rows_out):
-            continue
-        cell = int(down) * columns_out + int(across)
-        cells_out[index] = cell
-        depths_out[index] = z_level
-        starts_out[cell + 1] += 1
+
+@kernel
+def _to_pixels(across: Floats32, down: Floats32, lens: npt.NDArray[np.float64]) -> None:
+    """Slopes to pixels, half a pixel on, so that cutting off rounds."""
+    fx = np.float32(lens[0])
+    fy = np.float32(lens[1])
+    cx = np.float32(lens[2] + 0.5)
+    cy = np.float32(lens[3] + 0.5)
+    for u in range(across.shape[0]):
+        across[u] = fx * across[u] + cx
+        down[u] = fy * down[u] + cy
+
+
+@kernel
+def sort_into_cells(
+    cells: Integers32,  # [H, W]
+    depths: Floats32,  # [H, W]
+    places: Integers32,  # [H, W]
+    color_depths: Floats32,  # [H, W]
+    nearest: Floats32,  # [color_rows / BLOCK, color_columns / BLOCK]
+    color_columns: int,
+    color_every: int,
+    starts: Integers32,  # [cells + 1]: counts, becomes where each cell's samples begin
+    ends_out: Integers32,  # [cells]
+    sample_depths_out: Floats32,  # [H W]
+    sample_places_out: Integers32,  # [H W]
+) -> int:
+    """Samples cell by cell: depth, and colour pixel (-1 where the colour lens does not see the point). Returns the most."""
     most = 0
-    for cell in range(cells):
-        most = max(most, np.int64(starts_out[cell + 1]))
-        starts_out[cell + 1] += starts_out[cell]
+    for cell in range(ends_out.shape[0]):
+        most = max(most, int(starts[cell + 1]))
+        starts[cell + 1] += starts[cell]
+        ends_out[cell] = starts[cell]
+    for v in range(cells.shape[0]):
+        for u in range(cells.shape[1]):
+            cell = cells[v, u]
+            if cell < 0:
+                continue
+            end = ends_out[cell]
+            ends_out[cell] = end + 1
+            sample_depths_out[end] = depths[v, u]
+            sample_places_out[end] = -1
+            if color_every == 1 or (u + v) & 1 == 0:
+                place = places[v, u]
+                if place >= 0:
+                    block_v = place // color_columns // BLOCK
+                    block_u = place % color_columns // BLOCK
+                    if color_depths[v, u] <= nearest[block_v, block_u] + HIDDEN:
+                        sample_places_out[end] = place
     return most
 
 
 @kernel
 def gather(
-    cells: npt.NDArray[np.int32],  # [N]
-    depths: Floats32,  # [N]
-    colors: Bytes,  # [N, 3]
-    starts: npt.NDArray[np.int32],  # [cells + 1]
-    ends: npt.NDArray[np.int32],  # [cells], scratch
-    order: npt.NDArray[np.int32],  # [N], scratch
-    sorted_depths: Floats32,  # [most], scratch
+    starts: Integers32,  # [cells + 1]
+    sample_depths: Floats32,  # [N]
+    sample_places: Integers32,  # [N]
+    colors: Bytes,  # [pixels, 3]
     fewest: int,
-    matrix: Floats32,  # [3, 3]
-    offset: Floats32,  # [3]
+    matrix: npt.NDArray[np.float64],  # [3, 3]
+    offset: npt.NDArray[np.float64],  # [3]
+    ordered: Floats32,  # [most], scratch
     depth_out: Depths,  # [cells]
     color_out: Bytes,  # [cells, 3]
 ) -> None:
     """One depth and one colour for each published pixel, from the samples that fell into it.
 
-    The median sample names the surface; depth is the mean of the samples within `_band` of it, colour the corrected mean of
-    the same samples, so that two surfaces are never mixed. Fewer than `fewest` samples: 0, black.
+    The median sample names the surface (of two with equal shares the nearer): depth is the mean of the samples within
+    `surface_band` of it, colour the corrected mean of the same samples, so that two surfaces are never mixed. Fewer than
+    `fewest` samples: depth 0. No sample that the colour lens sees: black.
     """
-    count = depth_out.shape[0]
-    for cell in range(count):
-        ends[cell] = starts[cell]
-    for index in range(cells.shape[0]):
-        cell = cells[index]
-        if cell >= 0:
-            order[ends[cell]] = index
-            ends[cell] += 1
-    for cell in range(count):
+    for cell in range(depth_out.shape[0]):
         start = starts[cell]
         stop = starts[cell + 1]
-        samples = stop - start
         depth_out[cell] = 0
         color_out[cell, 0] = 0
         color_out[cell, 1] = 0
         color_out[cell, 2] = 0
-        if samples < fewest or samples == 0:
+        if stop - start < fewest or stop == start:
             continue
-        for position in range(samples):
-            value = depths[order[start + position]]
-            place = position
-            while place > 0 and sorted_depths[place - 1] > value:
-                sorted_depths[place] = sorted_depths[place - 1]
-                place -= 1
-            sorted_depths[place] = value
-        # The lower median: of two surfaces with equal shares, the nearer.
-        median = np.float64(sorted_depths[(samples - 1) // 2])
-        band = _band(median)
+        low = sample_depths[start]
+        high = low
+        for position in range(start + 1, stop):
+            low = min(low, sample_depths[position])
+            high = max(high, sample_depths[position])
+        band = surface_band(low)
+        middle = 0.5 * (low + high)
+        if high - low > band:
+            middle = _median(sample_depths, start, stop, ordered)
+            band = surface_band(middle)
         total = 0.0
-        red = 0.0
-        green = 0.0
-        blue = 0.0
+        red = np.int64(0)
+        green = np.int64(0)
+        blue = np.int64(0)
         members = 0
+        colored = 0
         for position in range(start, stop):
-            index = order[position]
-            if abs(depths[index] - median) <= band:
-                total += depths[index]
-                red += colors[index, 0]
-                green += colors[index, 1]
-                blue += colors[index, 2]
+            if abs(sample_depths[position] - middle) <= band:
+                total += sample_depths[position]
                 members += 1
-        scale = 1.0 / members
-        depth_out[cell] = np.uint16(min(1000.0 * total * scale + 0.5, 65535.0))
-        red *= scale
-        green *= scale
-        blue *= scale
-        for channel in range(3):
-            value = matrix[channel, 0] * red + matrix[channel, 1] * green + matrix[channel, 2] * blue + offset[channel]
-            color_out[cell, channel] = np.uint8(min(max(value + 0.5, 0.0), 255.0))
+                place = sample_places[position]
+                if place >= 0:
+                    red += np.int64(colors[place, 0])
+                    green += np.int64(colors[place, 1])
+                    blue += np.int64(colors[place, 2])
+                    colored += 1
+        depth_out[cell] = np.uint16(min(1000.0 * total / members + 0.5, 65535.0))
+        if colored > 0:
+            scale = 1.0 / colored
+            for channel in range(3):
+                value = matrix[channel, 0] * red + matrix[channel, 1] * green + matrix[channel, 2] * blue
+                color_out[cell, channel] = np.uint8(min(max(value * scale + offset[channel] + 0.5, 0.0), 255.0))
 
 
 @kernel
-def _band(depth: float) -> float:
-    """Half the depth range, m, of one surface within one published pixel: noise of a stereo camera and slant."""
+def surface_band(depth: float) -> float:
+    """How far, m, samples of one surface within one published pixel lie from their median: noise of stereo, and slant."""
     return 0.012 + 0.012 * depth * depth
+
+
+@kernel
+def _median(values: Floats32, start: int, stop: int, ordered: Floats32) -> float:
+    """The lower median of values[start:stop], by insertion."""
+    for position in range(stop - start):
+        value = values[start + position]
+        place = position
+        while place > 0 and ordered[place - 1] > value:
+            ordered[place] = ordered[place - 1]
+            place -= 1
+        ordered[place] = value
+    return float(ordered[(stop - start - 1) // 2])
