@@ -98,7 +98,7 @@ def directly(name: str, networks: dict[str, nn.Module], batch: Batch) -> Tensor:
     return networks[files[1]](network(image[:, :3], vector) if name == "vector-action" else network(image))
 
 
-@pytest.mark.parametrize("name", [name for name in METHODS if name != "hazard"])
+@pytest.mark.parametrize("name", [name for name in METHODS if not name.startswith("hazard")])
 def test_a_method_answers_as_its_networks_do(
     name: str, methods: dict[str, Method], weights: tuple[Path, dict[str, nn.Module]], dataset: Dataset, samples: Samples
 ) -> None:
@@ -109,28 +109,31 @@ def test_a_method_answers_as_its_networks_do(
     assert np.ptp(found) > 1e-6  # it looks at what it is asked
 
 
-def test_the_hazard_network_is_asked_once_a_plan_and_shown_the_whole_of_it(
-    methods: dict[str, Method], weights: tuple[Path, dict[str, nn.Module]], dataset: Dataset
+@pytest.mark.parametrize("name", ["hazard", "hazard-attention"])
+def test_a_hazard_network_is_asked_once_a_plan_and_shown_the_whole_of_it(
+    name: str, methods: dict[str, Method], weights: tuple[Path, dict[str, nn.Module]], dataset: Dataset
 ) -> None:
     episode = np.flatnonzero(dataset.episodes["caught_step"] > 5)[:2]
     rows, horizons = np.repeat(episode, 13), np.tile(np.arange(0, 39, 3), 2)
     zero = np.zeros(26, np.int64)
     questions = dataset.questions(Samples(rows, zero, horizons, zero, dataset.caught(rows, horizons)))
-    network, asked = weights[1]["hazard"], list[int]()
-    method = methods["hazard"]
+    network, asked = weights[1][name], list[int]()
+    method = methods[name]
     counter = method._network.register_forward_pre_hook(lambda _, shown: asked.append(len(shown[0])))  # type: ignore[attr-defined]
     found = method.judge(questions)
     counter.remove()
     assert asked == [EXACT.size]  # two plans, filled up to one part
     length = questions.last - questions.first
     assert (length == 40).all()
-    whole = dataset.render(Samples(episode, zero[:2], length[:2], zero[:2], np.zeros(2, np.bool_)))
+    whole = dataset.render(Samples(episode, zero[:2], length[:2], zero[:2], np.zeros(2, np.bool_)), vectors=True)
+    images = pixels(whole.inputs)
     with torch.inference_mode():
-        logits = network(pixels(whole.inputs)).numpy()
+        shown = (images,) if name == "hazard" else (images[:, :3], torch.from_numpy(whole.vectors))
+        logits = network(*shown).numpy()
     np.testing.assert_allclose(found, caught_logits(np.repeat(logits, 13, axis=0), horizons), atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["vpt-tob", "coordinate-path", "hazard"])
+@pytest.mark.parametrize("name", ["vpt-tob", "coordinate-path", "hazard", "hazard-attention"])
 def test_an_answer_does_not_depend_on_what_else_is_asked(
     name: str, methods: dict[str, Method], weights: tuple[Path, dict[str, nn.Module]], dataset: Dataset, samples: Samples
 ) -> None:
