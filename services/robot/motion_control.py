@@ -26,6 +26,8 @@ REACHED = 0.0003
 """m along the way at which driving at the target ends."""
 LOOK_AHEAD = 0.010
 """m: nearer to the target than this, the robot steers no harder."""
+NEAREST = 0.0005
+"""m: nearer than this, a precise target has no direction to face."""
 FACING = math.radians(4.0)
 """rad: facing the target within this, the robot drives at it; ..."""
 ASTRAY = math.radians(20.0)
@@ -197,7 +199,7 @@ class MotionControl:
             self._phase = _Phase.SETTLE
         if self._phase is _Phase.FACE:
             off = math.atan2(self._gear * beside, self._gear * ahead)
-            if abs(off) > FACING and distance > target.near:
+            if abs(off) > FACING and distance > (NEAREST if target.precise else target.near):
                 return 0.0, off / control.response
             self._phase = _Phase.DRIVE
         if self._phase is _Phase.DRIVE:
@@ -222,21 +224,17 @@ class MotionControl:
         place = estimate.place
         if estimate.rest is None or place is None:
             return None
-        distance, turn = _errors(place, target)
-        if distance > control.distance_aim or abs(turn) > control.heading_aim:
-            self._correct(place, distance)
+        ahead, beside = _in_robot_frame(place, target)
+        _, turn = _errors(place, target)
+        if abs(beside) > control.beside_aim:
+            # Wheels do not go sideways: turn, drive, turn back.
+            self._gear = 1 if ahead >= 0.0 else -1
+            self._phase = _Phase.FACE
+        elif abs(ahead) > control.distance_aim or abs(turn) > control.heading_aim:
+            self._phase = _Phase.ALIGN
         elif estimate.frames_at_rest >= control.frames:
             return self._finish("completed")
         return None
-
-    def _correct(self, place: Place, distance: float) -> None:
-        """Begin to correct what is left: along the heading by driving; beside it by turning, driving and turning back."""
-        ahead, beside = _in_robot_frame(place, self._target)
-        if abs(beside) > self._control.distance_aim and distance > self._control.distance_aim:
-            self._gear = 1 if ahead >= 0.0 else -1
-            self._phase = _Phase.FACE
-        else:
-            self._phase = _Phase.ALIGN
 
     def _end(self, now: int) -> tuple[float, float] | Ended:
         """Wait until a robot that failed rests and is seen; then say how it ended: there after all, or not."""
@@ -257,11 +255,11 @@ class MotionControl:
         return Ended(result, min(distance, 100.0), turn, "" if result == "completed" else self._reason)
 
     def _wheel_speeds(self, ahead: float, turn: float) -> tuple[float, float]:
-        """Return both wheels' speeds, scaled down together where one would be too fast."""
-        beside = 0.5 * self._wheels.axle_track * turn
-        fastest = max(abs(ahead) + abs(beside), self._speed)
-        scale = self._speed / fastest
-        return scale * (ahead - beside), scale * (ahead + beside)
+        """Return both wheels' speeds, none too fast: turning comes first, or a robot in a hurry would not steer."""
+        beside = min(max(0.5 * self._wheels.axle_track * turn, -self._speed), self._speed)
+        most = self._speed - abs(beside)
+        ahead = min(max(ahead, -most), most)
+        return ahead - beside, ahead + beside
 
     def _tell(self, now: int, left: float, right: float) -> tuple[float, float]:
         left, right = round(left, 3), round(right, 3)  # as the line carries them

@@ -104,7 +104,7 @@ class PoseEstimate:
         elif self._quiet_since is None:
             self._quiet_since = newest.stamp
         elif self.rest is None:
-            self.rest = newest.stamp
+            self.rest = self._quiet_since
             self.frames_at_rest = 0
         self._past.append(_Reckoned(max(stamp, newest.stamp), *place, newest.left + left, newest.right + right))
 

@@ -40,7 +40,7 @@ class Control:
 
     speed: float = 0.150
     """m/s of a wheel at most, in steps of a game"""
-    placing_speed: float = 0.150
+    placing_speed: float = 0.200
     """m/s of a wheel at most, while robots drive to their starts"""
     response: float = 0.030
     """s in which an error is driven out; below the time between two telemetry lines it overshoots"""
@@ -49,7 +49,9 @@ class Control:
     heading_tolerance: float = math.radians(2.0)
     """rad: the same"""
     distance_aim: float = 0.0010
-    """m: nearer than this to the target, nothing more is corrected"""
+    """m: nearer than this to the target along its heading, a robot corrects nothing more"""
+    beside_aim: float = 0.0013
+    """m: the same beside it; to correct this, a robot must turn, drive and turn back"""
     heading_aim: float = math.radians(0.9)
     """rad: the same"""
     frames: int = 2

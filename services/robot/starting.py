@@ -1,0 +1,119 @@
+"""Brings the robots to the starts of a game: draws them, drives there, tries again, and gives up with a reason."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+from schemas import ROBOTS, Episode, Layout
+from services.robot.driven_robot import DrivenRobot
+from services.robot.motion_control import Ended
+from services.robot.placing import Arena, Placing
+from services.robot.pose_estimate import Place
+from vantage.service import SECOND, Send
+from vantage.world.layout import ImpossibleLayout, boxes_of
+from vantage.world.start import Placed, draw_start
+
+SIGHT = SECOND // 2
+"""ns: an older track does not tell where a robot is."""
+AGAIN = SECOND // 4
+"""ns between two attempts to find a way, or to see the robots."""
+PATIENCE = 9 * SECOND
+"""ns without progress after which the game is given up."""
+
+
+@dataclass(slots=True)
+class Starting:
+    """See module.
+
+    Attributes:
+        robots: those driven from here.
+        episode: whose starts are drawn, exactly as the simulator does.
+        where: where a robot was seen, and when; None when it never was.
+        speed: m/s of a wheel at most.
+        since: when it began, ns.
+        trouble: why it does not go on, for people.
+        given_up: nothing more will be tried.
+        wake: when to try again, ns; None: nothing to wait for.
+    """
+
+    robots: Mapping[str, DrivenRobot]
+    episode: Episode
+    where: Callable[[str], tuple[Place, int] | None]
+    speed: float
+    since: int
+    trouble: str = ""
+    given_up: bool = False
+    wake: int | None = None
+    _placing: Placing | None = None
+    _starts: dict[str, Placed] | None = None
+    _progress: int = 0
+
+    @property
+    def starts(self) -> dict[str, Placed] | None:
+        """Where the robots stand, once they do."""
+        return self._starts if self._placing is not None and self._placing.done else None
+
+    def go_on(self, layout: Layout | None, now: int) -> list[Send]:
+        """Begin the next drive, if none is under way and everything for it is known."""
+        if layout is None or layout.episode != self.episode.episode or self.given_up:
+            return []
+        if self._placing is None and not self._draw(layout, now):
+            return []
+        assert self._placing is not None
+        if self._placing.done or self._placing.moving is not None:
+            return []
+        self.wake = None
+        places = self._places(now)
+        missing = [robot for robot in ROBOTS if robot not in places]
+        self.trouble = f"the overhead camera does not see {' and '.join(missing)}" if missing else self._placing.plan(places)
+        if self.trouble:
+            self._try_later(now)
+            return []
+        return self._drive(now)
+
+    def ended(self, ended: Ended, layout: Layout | None, now: int) -> list[Send]:
+        """Take note of how a drive ended, and go on."""
+        if self._placing is None or self._placing.moving is None:
+            return []
+        if ended.result == "completed":
+            self._progress = now
+            self._placing.arrived()
+            return self._drive(now) if self._placing.moving is not None else self.go_on(layout, now)
+        self.trouble = f"robot {self._placing.moving} did not get to its start: {ended.result}, {ended.reason}"
+        self._placing.interrupted()
+        self._try_later(now)
+        return []
+
+    def _draw(self, layout: Layout, now: int) -> bool:
+        rules, boxes = self.episode.rules, boxes_of(layout)
+        distances = rules.start_distance_minimum, rules.start_distance_maximum
+        try:
+            drawn = draw_start(boxes, layout.width, layout.depth, self.episode.seed, *distances)
+        except ImpossibleLayout as error:
+            self.trouble, self.given_up = str(error), True
+            return False
+        starts = dict(zip(ROBOTS, drawn, strict=True))
+        self._starts = {robot: starts[robot] for robot in ROBOTS if robot in self.robots}
+        self._placing = Placing(Arena(boxes, layout.width, layout.depth), self._starts)
+        self._progress = now
+        return True
+
+    def _drive(self, now: int) -> list[Send]:
+        assert self._placing is not None and self._placing.moving is not None
+        line = self._placing.next_line()
+        assert line is not None
+        robot = self.robots[self._placing.moving]
+        robot.begin(line, now, self.speed)
+        return robot.advance(now)[0]
+
+    def _try_later(self, now: int) -> None:
+        if now - self._progress > PATIENCE:
+            self.given_up = True
+        else:
+            self.wake = now + AGAIN
+
+    def _places(self, now: int) -> dict[str, Place]:
+        """Return where the robots are that were seen lately."""
+        seen = {robot: self.where(robot) for robot in ROBOTS}
+        return {robot: found[0] for robot, found in seen.items() if found is not None and now - found[1] <= SIGHT}
