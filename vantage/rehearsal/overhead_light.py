@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
-from vantage.compiled import kernel
 from vantage.world.arena import WALL_HEIGHT
 
 Picture = npt.NDArray[np.uint8]
@@ -41,15 +40,6 @@ class OverheadLook:
     """of a reflected lamp, px; 0 = none"""
     wall_height: float = WALL_HEIGHT
     """m; 0 = no walls"""
-
-
-@kernel
-def _add_noise(light: npt.NDArray[np.int16], noise: npt.NDArray[np.int16], out: Picture) -> None:
-    """Add noise and round: light and noise int16 [H, W x 3] in sixteenths of a grey level -> uint8 [H, W x 3]."""
-    for v in range(out.shape[0]):
-        for u in range(out.shape[1]):
-            value: int = (light[v, u] + noise[v, u] + 8) >> 4
-            out[v, u] = 0 if value < 0 else 255 if value > 255 else value
 
 
 class Development:
@@ -88,9 +78,9 @@ class Development:
         # Every frame cuts its noise out of one large field, elsewhere.
         down, right = np.random.default_rng((seed, frame)).integers(0, _NOISE_MARGIN, 2)
         noise = bank[down : down + height, 3 * right : 3 * (right + width)]
-        picture = np.empty((height, width, 3), np.uint8)
-        _add_noise(light.reshape(height, width * 3), noise, picture.reshape(height, width * 3))
-        return picture
+        # Sixteenths of a grey level, rounded and held within 0 to 255.
+        picture = cv2.addWeighted(light.reshape(height, width * 3), 1 / 16, noise, 1 / 16, 0.0, dtype=cv2.CV_8U)
+        return np.asarray(picture.reshape(height, width, 3))
 
     def _light(self) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.float32]]:
         """Gain and veil of every pixel, float32 [H, W, 1]."""

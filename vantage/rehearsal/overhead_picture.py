@@ -10,6 +10,7 @@ import math
 from dataclasses import dataclass
 
 import cv2
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
@@ -18,7 +19,7 @@ from vantage.rehearsal.overhead_light import Development, OverheadLook
 from vantage.rehearsal.overhead_rays import COVER, DARK, LIGHT, MOMENTS, expose_window
 from vantage.tracking.calibration import Calibration
 from vantage.tracking.overhead_camera import OverheadCamera
-from vantage.tracking.table import TAG_CELLS, CornerTag, Table
+from vantage.tracking.table import TAG_CELLS, CornerTag, ObstacleTag, Table, check_table
 from vantage.tracking.tag_pose import mounted_corners
 from vantage.tracking.tags import tag_cells
 from vantage.world.arena import (
@@ -41,6 +42,9 @@ ROBOTS = ("hider", "seeker")
 
 _PLATE = (TAG_CELLS + 2) / TAG_CELLS
 _KEPT_BACKGROUNDS = 4
+
+FIRST_BOX_TAG = 10
+"""Id of the tag on the first box of `table_of_layout`."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +105,22 @@ def rehearsal_camera(
         date=date or datetime.date(2000, 1, 1),
         made_with="rehearsal",
     )
+
+
+def table_of_layout(table: Table, boxes: tuple[Box, ...]) -> Table:
+    """Return the table with the boxes of a layout in place of its own: their sides and heights, tags from 10 on in their middle.
+
+    Raises:
+        UnusableTable: a tag does not fit on its box.
+    """
+    size = table.obstacles[0].size if table.obstacles else 0.06
+    obstacles = tuple(
+        ObstacleTag(id=FIRST_BOX_TAG + i, half_width=box.half_width, half_depth=box.half_depth, height=box.height, size=size)
+        for i, box in enumerate(boxes)
+    )
+    found = msgspec.structs.replace(table, obstacles=obstacles)
+    check_table(found)
+    return found
 
 
 class OverheadScene:
