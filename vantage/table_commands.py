@@ -63,7 +63,7 @@ def calibrate_lens(settings: CalibrateLens) -> int:
     if missing := views.missing():
         console.print(f"good enough, but better with: {'; '.join(missing)}", soft_wrap=True)
     console.print(f"{settings.to} written; where the board was seen: {coverage}", soft_wrap=True)
-    console.print(f"next: vantage table calibrate arena --source {settings.source} --lens {settings.to}", soft_wrap=True)
+    console.print(f"next: vantage table calibrate arena --source PICTURE_OR_CAMERA --lens {settings.to}", soft_wrap=True)
     return 0
 
 

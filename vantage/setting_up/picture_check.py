@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Sequence
 from typing import Final
@@ -10,13 +11,13 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from schemas import Box
 from vantage.setting_up.annotation import Canvas, tag_names
 from vantage.setting_up.verdict import Verdict
 from vantage.tracking.calibration import GREATEST_ARENA_RESIDUAL, Calibration
-from vantage.tracking.overhead import OverheadTracker
 from vantage.tracking.overhead_camera import OverheadCamera
 from vantage.tracking.table import Table
-from vantage.tracking.tag_pose import mounted_corners
+from vantage.tracking.tag_pose import measure_pose, mounted_corners
 from vantage.tracking.tags import FoundTag, TagFinder, distinct
 
 Picture = npt.NDArray[np.uint8]
@@ -33,6 +34,10 @@ BLURRED: Final = 4.0
 """px that the step from black to white takes at a tag's edge (10 to 90 %)."""
 LOW_CONTRAST: Final = 60.0
 """Grey levels between a tag's black and white."""
+SCALE_TOLERANCE: Final = 0.025
+"""Share by which a tag may look larger or smaller than the table's file says: one of the sizes is wrong, or its height."""
+CORNER_SIGMA: Final = 0.1
+"""px, standard deviation of a corner found in a picture."""
 _REACH: Final = 6.0
 _STEP: Final = 0.25
 
@@ -64,7 +69,7 @@ def check_picture(
     if calibration is not None and camera is not None:
         canvas.arena(table)
         verdicts.append(_still_in_place(camera, found, table))
-        verdicts += _tracked(picture, table, calibration, canvas, robots)
+        verdicts += _placed(camera, found, table, canvas)
     canvas.tags(found, tag_names(table))
     return verdicts, canvas.picture
 
@@ -191,17 +196,33 @@ def _still_in_place(camera: OverheadCamera, found: Sequence[FoundTag], table: Ta
     return Verdict("calibration", figures)
 
 
-def _tracked(picture: Picture, table: Table, calibration: Calibration, canvas: Canvas, wanted: bool) -> list[Verdict]:
-    observation = OverheadTracker(table, calibration).observe(picture, 1)
+def _placed(camera: OverheadCamera, found: Sequence[FoundTag], table: Table, canvas: Canvas) -> list[Verdict]:
+    """Where robots and boxes are, drawn and judged: inside the arena, and of the size and height that the table's file says."""
+    by_id = {tag.id: tag for tag in found}
     verdicts = []
-    for robot, track in observation.tracks.items():
-        if track is not None:
-            canvas.robot(robot, track.x, track.y, track.heading, table.robots[robot].height)
-            place = f"x {1000 * track.x:.0f} mm, y {1000 * track.y:.0f} mm, heading {np.degrees(track.heading):.0f}°"
-            inside = 0.0 <= track.x <= table.width and 0.0 <= track.y <= table.depth
-            verdicts.append(Verdict(robot, place, "" if inside else "outside of the arena: put it inside"))
-    for box in observation.boxes:
-        canvas.box(box)
-    if wanted and observation.boxes:
-        verdicts.append(Verdict("boxes", f"{len(observation.boxes)} of {len(table.obstacles)} placed"))
-    return verdicts + [Verdict("tracker", "says", trouble) for trouble in observation.troubles]
+    for robot, mount in table.robots.items():
+        if mount.id in by_id:
+            corners = mounted_corners(mount.size, mount.forward, mount.left, mount.heading)
+            measured = measure_pose(camera, by_id[mount.id].corners, corners, mount.height, CORNER_SIGMA)
+            x, y, heading = (float(value) for value in measured.pose)
+            canvas.robot(robot, x, y, heading, mount.height)
+            verdicts.append(_place(robot, x, y, heading, measured.scale, table))
+    for box in table.obstacles:
+        if box.id in by_id:
+            corners = mounted_corners(box.size, box.along, box.across, box.heading)
+            measured = measure_pose(camera, by_id[box.id].corners, corners, box.height, CORNER_SIGMA)
+            x, y, heading = (float(value) for value in measured.pose)
+            sides = {"half_width": box.half_width, "half_depth": box.half_depth, "height": box.height}
+            canvas.box(Box(x=x, y=y, heading=heading, **sides))
+            verdicts.append(_place(f"box {box.id}", x, y, heading, measured.scale, table))
+    return verdicts
+
+
+def _place(name: str, x: float, y: float, heading: float, scale: float, table: Table) -> Verdict:
+    figures = f"x {1000 * x:.0f} mm, y {1000 * y:.0f} mm, heading {math.degrees(heading):.0f}°"
+    if not (0.0 <= x <= table.width and 0.0 <= y <= table.depth):
+        return Verdict(name, figures, "outside of the arena: put it inside")
+    if abs(scale - 1.0) > SCALE_TOLERANCE:
+        wrong = f"{figures}; its tag looks {100 * abs(scale - 1.0):.1f} % too {'large' if scale > 1.0 else 'small'}"
+        return Verdict(name, wrong, "measure its black square and its height above the floor, and correct the table's file")
+    return Verdict(name, figures)

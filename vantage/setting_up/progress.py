@@ -18,7 +18,7 @@ console = Console(highlight=False)
 def progress(doing: str) -> Iterator[Callable[[str], None]]:
     """Show what is being done while it is; gives the function that changes the text."""
     columns = (SpinnerColumn(), TextColumn("{task.description}"), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True) as shown:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as shown:
         task = shown.add_task(escape(doing), total=None)
         yield lambda text: shown.update(task, description=escape(text))
 
