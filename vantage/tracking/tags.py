@@ -65,12 +65,21 @@ def grey_of(picture: Picture, window: Window) -> Picture:
     return cv2.cvtColor(part, cv2.COLOR_RGB2GRAY) if part.ndim == 3 else np.ascontiguousarray(part)
 
 
+class _LastingDetector(Detector):
+    """pupil-apriltags 1.0.4 frees a detector's family before the detector itself, which corrupts the heap: a process that makes
+    a few of them dies. So memory is not given back; a process needs two detectors.
+    """
+
+    def __del__(self) -> None:
+        """Free nothing."""
+
+
 class TagFinder:
     """The detector, at full and at half resolution. Not thread-safe."""
 
     def __init__(self, threads: int = 1) -> None:
         self._detectors = {
-            half: Detector(families="tag36h11", nthreads=threads, quad_decimate=2.0 if half else 1.0, refine_edges=1)
+            half: _LastingDetector(families="tag36h11", nthreads=threads, quad_decimate=2.0 if half else 1.0, refine_edges=1)
             for half in (False, True)
         }
 
