@@ -50,7 +50,7 @@ def _check_deployment(settings: Check, deployment: Deployment, table: Table, cal
     doing = f"listening to {deployment.name} for {settings.seconds:g} s"
     with progress(doing) as say, ZenohBus(f"watch-{os.getpid()}", deployment.folder, settings.arena) as bus:
         heard = listen(bus, settings.seconds, lambda passed: say(f"{doing}: {passed:.0f} s"))
-    verdicts = judge_heard(heard, processes, len(table.obstacles))
+    verdicts = judge_heard(heard, deployment.name, processes, len(table.obstacles))
     picture = heard.last_picture("overhead/color")
     if picture is not None:
         found, annotated = check_picture(picture, table, calibration)

@@ -28,6 +28,8 @@ GREATEST_LATENCY = 0.1
 """s from a capture to its track's arrival, median; robots drive by it."""
 LOWEST_SEEN = 0.9
 """Share of a robot's tracks in which its tag was seen, not predicted."""
+_SILENT_TRACK = "is the tracker well, and the robot on the table with its tag in the overhead camera's sight?"
+_WELL = {"robot": "ok, its robots answer", "tracker": "ok, its cameras give frames"}
 _LOSE_FIRST = 0.3
 """s at the beginning that do not count for rates: subscriptions come into force."""
 
@@ -60,9 +62,9 @@ class Heard:
     seen: dict[str, list[bool]] = field(default_factory=lambda: {robot: [] for robot in ROBOTS})
 
     def last_picture(self, key: str) -> Picture | None:
-        """Return the last picture of a topic, uint8 [H, W, 3] RGB, None where none came."""
+        """Return the last picture of a topic, uint8 [H, W, 3] RGB; None where none came but the one of before, which is kept."""
         stream = self.streams.get(key)
-        if stream is None or not isinstance(stream.last, ColorImage):
+        if stream is None or not stream.arrivals or not isinstance(stream.last, ColorImage):
             return None
         image = stream.last
         return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)
@@ -108,17 +110,19 @@ def take(heard: Heard, sample: Sample, passed: float, now: int) -> None:
             heard.seen[sample.key.partition("/")[0]].append(message.seen)
 
 
-def judge_heard(heard: Heard, processes: list[Process], obstacles: int | None) -> list[Verdict]:
+def judge_heard(heard: Heard, deployment: str, processes: list[Process], obstacles: int | None) -> list[Verdict]:
     """Judge a running table.
 
     Args:
+        deployment: its name.
         processes: of the deployment.
         obstacles: boxes that the table ought to have; None: unknown.
     """
     verdicts = []
     for process in processes:
         health = heard.health.get(process.name)
-        verdicts.append(_service(judge(process, health, 0.0 if health is None else (heard.ended - health.stamp) / 1e9)))
+        age = 0.0 if health is None else (heard.ended - health.stamp) / 1e9
+        verdicts.append(_service(judge(process, health, age), deployment))
     verdicts += [_rate(heard, key) for key in sorted(heard.streams) if _is_stream(key)]
     for robot in ROBOTS:
         verdicts += _track(heard, robot)
@@ -130,10 +134,12 @@ def judge_heard(heard: Heard, processes: list[Process], obstacles: int | None) -
     return verdicts
 
 
-def _service(verdict: ServiceVerdict) -> Verdict:
+def _service(verdict: ServiceVerdict, deployment: str) -> Verdict:
     name = verdict.process.name
-    remedy = "" if verdict.healthy else f'see `vantage logs {name} --deployment NAME`, and docs/table.md, "What goes wrong"'
-    return Verdict(f"service {name}", verdict.state if verdict.healthy else verdict.trouble, remedy)
+    if verdict.healthy:
+        return Verdict(f"service {name}", _WELL.get(name, verdict.state))
+    remedy = f'see docs/table.md, "What goes wrong", and `vantage logs {name} --deployment {deployment}`'
+    return Verdict(f"service {name}", verdict.trouble, remedy)
 
 
 def _is_stream(key: str) -> bool:
@@ -141,18 +147,23 @@ def _is_stream(key: str) -> bool:
 
 
 def _rate(heard: Heard, key: str) -> Verdict:
-    expected, stream = TOPICS[key].rate, heard.streams[key]
+    stream = heard.streams[key]
+    # Where the raw frames of the camera above are on the bus, there are as many tracks as frames.
+    source = "overhead/color" if key.endswith("/track") and "overhead/color" in heard.streams else key
+    expected = TOPICS[source].rate
     rate = len(stream.arrivals) / heard.seconds if heard.seconds else 0.0
-    figures = f"{rate:.1f} a second, expected {expected:g}"
+    if not stream.arrivals:
+        return Verdict(key, "nothing heard", _SILENT_TRACK if key.endswith("/track") else "is the camera plugged in?")
     slow = "camera, cable or computer is too slow: set the camera's rate and a short exposure, stop other programs"
-    return Verdict(key, figures, slow if rate < LOWEST_SHARE * expected else "")
+    return Verdict(key, f"{rate:.1f} a second, expected {expected:g}", slow if rate < LOWEST_SHARE * expected else "")
 
 
 def _track(heard: Heard, robot: str) -> list[Verdict]:
     stream = heard.streams.get(f"{robot}/track")
-    if stream is None or not stream.ages:
-        remedy = f"is the tracker running, and is the {robot} on the table with its tag in the overhead camera's sight?"
-        return [Verdict(f"{robot}/track", "nothing heard", remedy)]
+    if stream is None:
+        return [Verdict(f"{robot}/track", "nothing heard", _SILENT_TRACK)]
+    if not stream.ages:
+        return []  # its rate says so
     middle, late = (1000.0 * float(np.percentile(stream.ages, share)) for share in (50, 95))
     share = float(np.mean(heard.seen[robot]))
     return [

@@ -219,7 +219,7 @@ def _placed(camera: OverheadCamera, found: Sequence[FoundTag], table: Table, can
 
 
 def _place(name: str, x: float, y: float, heading: float, scale: float, table: Table) -> Verdict:
-    figures = f"x {1000 * x:.0f} mm, y {1000 * y:.0f} mm, heading {math.degrees(heading):.0f}°"
+    figures = f"x {1000 * x:.0f} mm, y {1000 * y:.0f} mm, heading {round(math.degrees(heading))}°"
     if not (0.0 <= x <= table.width and 0.0 <= y <= table.depth):
         return Verdict(name, figures, "outside of the arena: put it inside")
     if abs(scale - 1.0) > SCALE_TOLERANCE:
