@@ -194,9 +194,10 @@ class TrackerCore:
             if track.seen:
                 self._tags.there(self._tag_names[robot], now)
             sends.append(Publish(f"{robot}/track", _message_of(track, place)))
-        self._boxes = observation.boxes
-        if self._published is None or have_moved(self._published.obstacles, observation.boxes):
-            sends.extend(self._say_layout(now))
+        if observation.full_search or self._boxes is not None:  # before, only some of the boxes may have been found
+            self._boxes = observation.boxes
+            if self._published is None or have_moved(self._published.obstacles, observation.boxes):
+                sends.extend(self._say_layout(now))
         if self._capture is not None:
             self._capture.see(observation.tracks, stamp)
             sends.extend(self._finish_capture())
