@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from schemas import ROBOTS, Box, Episode, Layout, Message, Motion, Rules, Track
 from services.robot.core import RobotCore
-from services.robot.settings import RobotSettings
+from services.robot.settings import NO_PORT, RobotSettings
 from vantage.rehearsal.body import Body, BodySettings
 from vantage.rehearsal.firmware import Firmware, FirmwareSettings
 from vantage.service import SECOND, Arrived, Captured, Publish, Received, Unexpected, Woken, Write
@@ -120,7 +120,7 @@ class EmulatedTable:
         self.now += TICK
         for robot, other in zip(ROBOTS, reversed(ROBOTS), strict=True):
             data = self.firmwares[robot].advance(self.now, self.boxes, self.place_of(other)[:2])
-            if data:
+            if data and self.settings.port_of(robot) != NO_PORT:
                 self.give(Captured(robot, data, self.now))
         self._look()
         while self._coming and self._coming[0][0] <= self.now:
@@ -144,8 +144,8 @@ class EmulatedTable:
                 continue
             track = Track(
                 stamp=self.now,
-                x=x + self.tracker.distance_noise * float(noise[0]),
-                y=y + self.tracker.distance_noise * float(noise[1]),
-                heading=math.remainder(heading + self.tracker.heading_noise * float(noise[2]), math.tau),
+                x=float(x + self.tracker.distance_noise * noise[0]),
+                y=float(y + self.tracker.distance_noise * noise[1]),
+                heading=math.remainder(heading + self.tracker.heading_noise * noise[2], math.tau),
             )
             self._coming.append((self.now + int(self.tracker.latency * SECOND), robot, track))

@@ -130,7 +130,7 @@ class RobotCore:
     def _set_up(self, episode: Episode, now: int) -> Sequence[Send]:
         self._episode, self._phase, self._wake, self._trouble = episode.episode, _Phase.STARTING, None, ""
         self._stepping.begin(episode.episode, 0)
-        sends = [send for robot in self._robots.values() for send in (*robot.clear(now), *robot.halt(now))]
+        sends = [send for robot in self._robots.values() for send in robot.halt(now)]
         if not self._robots:
             self._phase, self._starting = _Phase.PLAYING, None
             return sends
@@ -161,7 +161,7 @@ class RobotCore:
         if ended is None:
             return sends
         if self._starting is not None:
-            return [*sends, *self._starting.ended(ended, self._layout, now), *self._report_starts(now)]
+            return [*sends, *self._starting.ended(ended, now), *self._report_starts(now)]
         return [*sends, *self._stepping.ended(robot, ended, now)]
 
     def _on_command(self, name: str, command: Command, now: int) -> Sequence[Send]:

@@ -42,7 +42,7 @@ class Control:
     """m/s of a wheel at most, in steps of a game"""
     placing_speed: float = 0.200
     """m/s of a wheel at most, while robots drive to their starts"""
-    response: float = 0.030
+    response: float = 0.022
     """s in which an error is driven out; below the time between two telemetry lines it overshoots"""
     distance_tolerance: float = 0.002
     """m: farther from the target than this, a motion has not completed"""

@@ -48,6 +48,11 @@ class Starting:
     _placing: Placing | None = None
     _starts: dict[str, Placed] | None = None
     _progress: int = 0
+    _to_clear: frozenset[str] = frozenset()
+
+    def __post_init__(self) -> None:
+        # A new game is asked for: that clears an emergency stop whose button has been released.
+        self._to_clear = frozenset(name for name, robot in self.robots.items() if robot.link.can_clear)
 
     @property
     def starts(self) -> dict[str, Placed] | None:
@@ -56,14 +61,17 @@ class Starting:
 
     def go_on(self, layout: Layout | None, now: int) -> list[Send]:
         """Begin the next drive, if none is under way and everything for it is known."""
-        if layout is None or layout.episode != self.episode.episode or self.given_up:
+        if self._placing is None and layout is not None and layout.episode == self.episode.episode:
+            self._draw(layout, now)
+        if self._placing is None or self.given_up:
             return []
-        if self._placing is None and not self._draw(layout, now):
-            return []
-        assert self._placing is not None
         if self._placing.done or self._placing.moving is not None:
             return []
         self.wake = None
+        latched = [robot for name, robot in self.robots.items() if name in self._to_clear and robot.link.emergency_stop]
+        if latched:
+            self._try_later(now)
+            return [send for robot in latched for send in robot.clear(now)]
         places = self._places(now)
         missing = [robot for robot in ROBOTS if robot not in places]
         self.trouble = f"the overhead camera does not see {' and '.join(missing)}" if missing else self._placing.plan(places)
@@ -72,32 +80,31 @@ class Starting:
             return []
         return self._drive(now)
 
-    def ended(self, ended: Ended, layout: Layout | None, now: int) -> list[Send]:
+    def ended(self, ended: Ended, now: int) -> list[Send]:
         """Take note of how a drive ended, and go on."""
         if self._placing is None or self._placing.moving is None:
             return []
         if ended.result == "completed":
             self._progress = now
             self._placing.arrived()
-            return self._drive(now) if self._placing.moving is not None else self.go_on(layout, now)
+            return self._drive(now) if self._placing.moving is not None else self.go_on(None, now)
         self.trouble = f"robot {self._placing.moving} did not get to its start: {ended.result}, {ended.reason}"
         self._placing.interrupted()
         self._try_later(now)
         return []
 
-    def _draw(self, layout: Layout, now: int) -> bool:
+    def _draw(self, layout: Layout, now: int) -> None:
         rules, boxes = self.episode.rules, boxes_of(layout)
         distances = rules.start_distance_minimum, rules.start_distance_maximum
         try:
             drawn = draw_start(boxes, layout.width, layout.depth, self.episode.seed, *distances)
         except ImpossibleLayout as error:
             self.trouble, self.given_up = str(error), True
-            return False
+            return
         starts = dict(zip(ROBOTS, drawn, strict=True))
         self._starts = {robot: starts[robot] for robot in ROBOTS if robot in self.robots}
         self._placing = Placing(Arena(boxes, layout.width, layout.depth), self._starts)
         self._progress = now
-        return True
 
     def _drive(self, now: int) -> list[Send]:
         assert self._placing is not None and self._placing.moving is not None
@@ -105,7 +112,8 @@ class Starting:
         assert line is not None
         robot = self.robots[self._placing.moving]
         robot.begin(line, now, self.speed)
-        return robot.advance(now)[0]
+        sends, ended = robot.advance(now)
+        return sends if ended is None else [*sends, *self.ended(ended, now)]
 
     def _try_later(self, now: int) -> None:
         if now - self._progress > PATIENCE:

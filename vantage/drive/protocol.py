@@ -198,5 +198,6 @@ class LineReader:
                 self.damaged += 1
         if len(self._rest) > LONGEST:
             self.damaged += 1
-            self._rest = b""
+            _, dollar, after = self._rest[-LONGEST:].rpartition(b"$")
+            self._rest = dollar + after if dollar else b""
         return lines

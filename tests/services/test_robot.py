@@ -1,0 +1,357 @@
+"""The driver on an emulated table: every way in which a motion can end, and what a game makes of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import pytest
+
+from schemas import ROBOTS, Box, Command, Episode, Layout, Motion, Primitive, Tick
+from services.robot.core import RobotCore
+from services.robot.settings import RobotSettings
+from tests.drive.emulated import EmulatedTable, TrackerSettings, driver
+from vantage.drive.protocol import EmergencyStop, LineReader, SetSpeeds, encode
+from vantage.rehearsal.firmware import FirmwareSettings
+from vantage.service import SECOND, Captured, Woken, Write
+from vantage.world.layout import LAB
+from vantage.world.start import draw_start
+
+SEED = 5
+
+
+def at_start(seed: int = SEED, obstacles: tuple[Box, ...] = (), **changes: object) -> EmulatedTable:
+    """A table whose robots stand (almost) at the starts of episode 1, and whose driver has reported so."""
+    empty = EmulatedTable(obstacles=obstacles)
+    starts = draw_start(empty.boxes, 1.2, 1.2, seed, 0.25, 0.45)
+    places = [(x + 0.0005, y - 0.0004, math.radians(10.0 * heading + 0.5)) for x, y, heading in starts]
+    table = EmulatedTable(places=places, obstacles=obstacles, **changes)  # type: ignore[arg-type]
+    table.run(lambda: False, 0.3)
+    table.set_up(seed=seed)
+    assert table.run(lambda: len(table.motions) == 2, 10.0), table.core.trouble
+    assert [motion.result for _, motion in table.motions] == ["completed"] * 2
+    table.motions.clear()
+    return table
+
+
+def play(
+    table: EmulatedTable, hider: Primitive, seeker: Primitive = "stay", step: int = 0, limit: float = 5.0
+) -> dict[str, Motion]:
+    """Command one step; return both reports."""
+    table.motions.clear()
+    for robot, primitive in (("hider", hider), ("seeker", seeker)):
+        table.say(f"{robot}/command", Command(stamp=table.now, episode=1, step=step, primitive=primitive))
+    assert table.run(lambda: len(table.motions) == 2, 5.0), f"reported: {table.motions}"
+    return dict(table.motions)
+
+
+def test_two_hundred_primitives_end_where_the_simulation_has_them_although_lines_are_lost() -> None:
+    rows, unreported = driver.play(driver.Settings(primitives=200, seed=4))
+    assert unreported == 0
+    moved = [row for row in rows if row.motion.result == "completed"]
+    assert {row.motion.result for row in rows} <= {"completed", "refused"}
+    assert len(moved) > 120 and len(rows) >= 202
+    assert max(row.distance for row in rows) <= 0.002
+    assert math.degrees(max(row.turn for row in rows)) <= 2.0
+    # What it reports of itself is what is true, as well as a camera of this noise can tell.
+    assert max(abs(row.motion.distance_error - row.distance) for row in moved) < 0.001
+    assert max(row.motion.elapsed for row in moved if row.motion.step > 0) < 1.5
+
+
+def test_both_robots_drive_to_their_starts_around_boxes_and_each_other() -> None:
+    """They begin at each other's ends of the table; the body of the emulator stops where it touches anything."""
+    starts = draw_start(EmulatedTable(obstacles=LAB).boxes, 1.2, 1.2, SEED, 0.25, 0.45)
+    table = EmulatedTable(places=((0.12, 0.12, 0.3), (1.08, 1.08, -2.0)), obstacles=LAB)
+    table.set_up(seed=SEED)
+    moving = set()
+    touched = False
+
+    def reported() -> bool:
+        nonlocal touched
+        speeds = {robot: abs(body.left_speed) + abs(body.right_speed) for robot, body in table.bodies.items()}
+        moving.add(tuple(speed > 0.01 for speed in speeds.values()))
+        touched = touched or any(body.touching for body in table.bodies.values())
+        return len(table.motions) == 2
+
+    assert table.run(reported, 90.0), table.core.trouble
+    assert (True, True) not in moving and not touched
+    for robot, (x, y, heading) in zip(ROBOTS, starts, strict=True):
+        motion = dict(table.motions)[robot]
+        assert (motion.step, motion.primitive, motion.result, motion.reason) == (0, "stay", "completed", "")
+        place = table.place_of(robot)
+        assert math.dist(place[:2], (x, y)) <= 0.002
+        assert abs(math.remainder(place[2] - math.radians(10 * heading), math.tau)) <= math.radians(2.0)
+    assert table.core.trouble == ""
+
+
+def test_robots_that_stand_on_each_others_starts_make_way() -> None:
+    first, second = draw_start(EmulatedTable().boxes, 1.2, 1.2, SEED, 0.25, 0.45)
+    table = EmulatedTable(places=((second[0], second[1], 0.0), (first[0], first[1], 0.0)))
+    table.set_up(seed=SEED)
+    assert table.run(lambda: len(table.motions) == 2, 90.0), table.core.trouble
+    assert {motion.result for _, motion in table.motions} == {"completed"}
+
+
+def test_a_start_that_cannot_be_reached_is_said_and_the_game_given_up() -> None:
+    """Walls of boxes around the hider; wherever the start of this seed is, it is outside."""
+    cage = tuple(
+        Box(x=0.2 + 0.14 * dx, y=0.2 + 0.14 * dy, half_width=0.13 if dy else 0.02, half_depth=0.02 if dy else 0.13)
+        for dx, dy in ((1, 0), (-1, 0), (0, 1), (0, -1))
+    )
+    table = EmulatedTable(places=((0.2, 0.2, 0.0), (0.9, 0.9, 0.0)), obstacles=cage)
+    table.set_up(seed=SEED)
+    assert table.run(lambda: "no way to the start of hider" in table.core.trouble, 60.0)
+    assert table.motions == []
+    assert table.run(lambda: len(table.motions) == 2, 15.0)
+    assert {(motion.step, motion.result) for _, motion in table.motions} == {(0, "stopped")}
+    assert "no way" in table.motions[0][1].reason
+
+
+def test_a_move_into_a_wall_is_refused_and_not_begun() -> None:
+    table = at_start()
+    steps = 0
+    while (motions := play(table, "forward", "stay", steps))["hider"].result == "completed":
+        steps += 1
+        assert steps < 120
+    assert motions["hider"].result == "refused" and "collided" in motions["hider"].reason
+    before = table.place_of("hider")
+    again = play(table, "forward", "left", steps + 1)
+    assert again["hider"].result == "refused" and again["seeker"].result == "completed"
+    assert math.dist(before[:2], table.place_of("hider")[:2]) < 0.0005
+    assert play(table, "left", "stay", steps + 2)["hider"].result == "completed"
+
+
+def test_a_robot_held_by_something_that_nobody_knows_is_stuck_and_goes_on_from_where_it_is() -> None:
+    table = at_start()
+    x, y, heading = table.place_of("hider")
+    ahead = 0.063 + 0.002 + 0.02
+    post = Box(
+        x=x + ahead * math.cos(heading), y=y + ahead * math.sin(heading), half_width=0.02, half_depth=0.02, heading=heading
+    )
+    table.boxes = EmulatedTable(obstacles=(post,)).boxes  # on the table, but not in the layout
+    motion = play(table, "forward")["hider"]
+    assert motion.result == "stuck"
+    assert "something is in its way" in motion.reason
+    assert 0.005 < motion.distance_error < 0.011
+    # The next one is judged from the tracked place, not from where the simulation would have it.
+    held = table.place_of("hider")
+    assert play(table, "backward", step=1)["hider"].result == "completed"
+    place = table.place_of("hider")
+    wanted = math.radians(10 * round(math.degrees(held[2]) / 10))
+    assert math.dist(place[:2], (held[0] - 0.01 * math.cos(wanted), held[1] - 0.01 * math.sin(wanted))) < 0.002
+
+
+def test_a_robot_whose_wheels_do_not_turn_times_out() -> None:
+    table = at_start()
+    table.firmwares["hider"].body.settings = type(table.bodies["hider"].settings)(fastest=1e-6)
+    motions = play(table, "forward", "left")
+    assert motions["hider"].result == "timed-out"
+    assert 1.5 <= motions["hider"].elapsed < 2.2
+    assert motions["hider"].distance_error == pytest.approx(0.010, abs=0.002)
+    assert motions["seeker"].result == "completed" and motions["seeker"].elapsed < 0.8
+
+
+def test_an_emergency_stop_stops_and_a_new_game_clears_it_once_the_button_is_released() -> None:
+    table = at_start()
+    table.firmwares["hider"].button = True
+    table.run(lambda: False, 0.1)
+    motions = play(table, "forward", "forward")
+    assert motions["hider"].result == "stopped" and "emergency stop button" in motions["hider"].reason
+    assert motions["seeker"].result == "completed"
+    assert "emergency stop" in table.core.trouble
+    table.firmwares["hider"].button = False
+    table.run(lambda: False, 0.3)
+    assert "start a new game" in table.core.trouble  # released is not cleared
+    table.motions.clear()
+    table.set_up(number=2, seed=SEED)
+    assert table.run(lambda: len(table.motions) == 2, 20.0)
+    assert {motion.result for _, motion in table.motions} == {"completed"}
+    assert table.core.trouble == ""
+
+
+def test_an_emergency_stop_in_mid_motion_ends_it() -> None:
+    table = at_start()
+    table.say("hider/command", Command(stamp=table.now, episode=1, step=0, primitive="forward"))
+    table.say("seeker/command", Command(stamp=table.now, episode=1, step=0, primitive="stay"))
+    table.run(lambda: table.bodies["hider"].left_speed > 0.03, 1.0)
+    table.firmwares["hider"].feed(encode(EmergencyStop(60_000)), table.now)
+    assert table.run(lambda: len(table.motions) == 2, 2.0)
+    assert dict(table.motions)["hider"].result == "stopped"
+
+
+def test_a_robot_that_is_not_seen_stops_and_is_lost_but_a_short_while_does_no_harm() -> None:
+    table = at_start()
+    table.silent.add("hider")
+    table.run(lambda: False, 0.7)
+    table.say("hider/command", Command(stamp=table.now, episode=1, step=0, primitive="forward"))
+    table.say("seeker/command", Command(stamp=table.now, episode=1, step=0, primitive="stay"))
+    before = table.place_of("hider")
+    table.run(lambda: False, 1.0)
+    assert math.dist(before[:2], table.place_of("hider")[:2]) < 0.0005  # it does not drive blind
+    table.silent.clear()
+    assert table.run(lambda: len(table.motions) == 2, 1.5)
+    assert dict(table.motions)["hider"].result == "completed"
+
+    table.silent.add("hider")
+    motion = play(table, "forward", step=1)["hider"]
+    # It may have been done before the sight was missed; a step more, and it is not.
+    if motion.result == "completed":
+        motion = play(table, "forward", step=2)["hider"]
+    assert motion.result == "lost" and "not seen" in motion.reason
+    assert 1.9 < motion.elapsed < 2.6
+
+
+def test_a_robot_that_is_dead_is_named_and_the_other_goes_on() -> None:
+    table = at_start()
+    table.firmwares["hider"].powered = False
+    motions = play(table, "forward", "forward")
+    assert motions["hider"].result == "stopped"
+    assert "robot hider does not answer on pty-hider" in motions["hider"].reason
+    assert motions["hider"].elapsed < 0.8
+    assert motions["seeker"].result == "completed"
+    assert "hider does not answer" in table.core.trouble
+    table.firmwares["hider"].powered = True
+    table.run(lambda: False, 0.5)
+    assert table.core.trouble == ""
+
+
+def test_an_unplugged_port_is_named_until_it_is_back() -> None:
+    table = at_start()
+    table.give(Captured("hider", None, table.now, "robot hider: /dev/x was unplugged"))
+    assert table.core.trouble == "robot hider: /dev/x was unplugged"
+    table.run(lambda: False, 0.1)  # the emulated one still speaks: it is back
+    assert table.core.trouble == ""
+
+
+def test_a_low_battery_is_trouble_and_the_voltage_is_in_every_report() -> None:
+    table = at_start(firmware=FirmwareSettings(full=6.35))
+    assert "robot hider: battery at 6.3 V, charge it" in table.core.trouble or "6.4 V" in table.core.trouble
+    battery = play(table, "left")["hider"].battery
+    assert battery == pytest.approx(6.35, abs=0.02)
+
+
+@pytest.mark.parametrize("loss", [{"dropped": 0.15}, {"damaged": 0.15}, {"latency": 0.02, "jitter": 0.01}])
+def test_worse_cables_cost_time_not_truth(loss: dict[str, float]) -> None:
+    settings = driver.Settings(primitives=40, seed=9, firmware=FirmwareSettings(**loss))  # type: ignore[arg-type]
+    rows, unreported = driver.play(settings)
+    assert unreported == 0
+    for row in rows:
+        if row.motion.result == "completed":
+            assert row.distance <= 0.002 and row.turn <= math.radians(2.0)
+
+
+def test_a_late_robot_stays_and_the_other_moves() -> None:
+    table = at_start()
+    table.say("seeker/command", Command(stamp=table.now, episode=1, step=0, primitive="left"))
+    table.run(lambda: False, 0.2)
+    assert table.motions == []
+    table.say("tick", Tick(stamp=table.now, episode=1, step=0, late=("hider",)))
+    assert table.run(lambda: len(table.motions) == 2, 2.0)
+    assert {name: motion.primitive for name, motion in table.motions} == {"hider": "stay", "seeker": "left"}
+    assert {motion.step for _, motion in table.motions} == {1}
+
+
+def test_commands_of_another_step_or_game_are_set_aside() -> None:
+    table = at_start()
+    for number, step in ((1, 1), (2, 0), (1, 5)):
+        table.say("hider/command", Command(stamp=1, episode=number, step=step, primitive="left"))
+    table.say("seeker/command", Command(stamp=1, episode=1, step=0, primitive="left"))
+    table.say("seeker/command", Command(stamp=1, episode=1, step=0, primitive="left"))
+    assert table.unexpected == 4
+    assert not table.run(lambda: bool(table.motions), 0.5)
+
+
+def test_the_end_of_a_game_stops_the_wheels_and_nothing_is_reported() -> None:
+    table = at_start()
+    for robot in ROBOTS:
+        table.say(f"{robot}/command", Command(stamp=table.now, episode=1, step=0, primitive="forward"))
+    table.run(lambda: table.bodies["hider"].left_speed > 0.03, 1.0)
+    table.say("episode", Episode(stamp=table.now, episode=1, seed=SEED, phase="aborted"))
+    table.run(lambda: False, 0.3)
+    assert all(abs(body.left_speed) < 0.001 for body in table.bodies.values())
+    assert table.motions == []
+
+
+def restarted(table: EmulatedTable, heard: Sequence[str], step: int) -> None:
+    """Put a new driver in place of the old one; it hears what late joiners hear, in the given order."""
+    table.core = RobotCore(table.settings)
+    table.motions.clear()
+    said = {
+        "episode": Episode(stamp=table.now, episode=1, seed=SEED, phase="running"),
+        "layout": Layout(stamp=table.now, episode=1, obstacles=table.obstacles),
+        "tick": Tick(stamp=table.now, episode=1, step=step),
+        **{f"{robot}/command": Command(stamp=table.now, episode=1, step=step, primitive="forward") for robot in ROBOTS},
+    }
+    for key in heard:
+        table.say(key, said[key])
+
+
+@pytest.mark.parametrize(
+    "heard",
+    [
+        ("episode", "layout", "tick", "hider/command", "seeker/command"),
+        ("hider/command", "tick", "seeker/command", "layout", "episode"),
+    ],
+)
+def test_a_driver_restarted_in_mid_step_does_not_repeat_it_and_goes_on_from_where_the_robots_are(heard: tuple[str, ...]) -> None:
+    table = at_start()
+    play(table, "forward", "left")
+    before = {robot: table.place_of(robot) for robot in ROBOTS}
+    restarted(table, heard, step=1)  # whether step 1 was begun, nobody can tell
+    assert table.run(lambda: len(table.motions) == 2, 2.0)
+    for robot, motion in table.motions:
+        assert (motion.step, motion.result) == (2, "timed-out")
+        assert "restarted" in motion.reason
+        assert math.dist(before[robot][:2], table.place_of(robot)[:2]) < 0.0002
+    motions = play(table, "forward", "backward", step=2)
+    assert {motion.result for motion in motions.values()} == {"completed"}
+    assert math.dist(before["hider"][:2], table.place_of("hider")[:2]) == pytest.approx(0.010, abs=0.002)
+
+
+def test_a_driver_restarted_between_commands_carries_the_next_ones_out() -> None:
+    table = at_start()
+    restarted(table, ("episode", "layout", "tick"), step=0)
+    table.run(lambda: False, 1.0)
+    assert table.motions == []
+    motions = play(table, "forward", "forward")
+    assert {(motion.step, motion.result) for motion in motions.values()} == {(1, "completed")}
+
+
+def test_a_robot_without_a_port_is_left_alone_and_driven_around() -> None:
+    table = at_start()
+    alone = EmulatedTable(
+        places=[table.place_of(robot) for robot in ROBOTS], settings=RobotSettings(hider_port="pty-hider"), seed=3
+    )
+    alone.run(lambda: False, 0.3)
+    alone.set_up(seed=SEED)
+    assert alone.run(lambda: bool(alone.motions), 5.0)
+    alone.motions.clear()
+    for robot in ROBOTS:
+        alone.say(f"{robot}/command", Command(stamp=alone.now, episode=1, step=0, primitive="left"))
+    alone.run(lambda: False, 1.0)
+    assert [(name, motion.result) for name, motion in alone.motions] == [("hider", "completed")]
+    assert alone.bodies["seeker"].left == 0.0
+
+
+def test_speeds_are_sent_again_at_least_twenty_times_a_second_and_never_after_the_motion() -> None:
+    """Without a word from the robot, too: an own clock, no emulator."""
+    core = RobotCore(RobotSettings(hider_port="x"))
+    reader = LineReader()
+    now = 10**15
+    sent = []
+    for _ in range(1000):
+        now += SECOND // 1000
+        wake = core.wake_at()
+        if wake is not None and wake <= now:
+            for send in core.step(Woken(), now):
+                assert isinstance(send, Write)
+                sent += [(now, line) for line in reader.feed(send.data)]
+    assert 9 <= len(sent) <= 12  # idle
+    assert not any(isinstance(line, SetSpeeds) for _, line in sent)
+
+
+def test_a_noisier_camera_is_believed_less() -> None:
+    settings = driver.Settings(primitives=40, seed=2, tracker=TrackerSettings(missed=0.2, latency=0.08))
+    rows, unreported = driver.play(settings)
+    assert unreported == 0
+    assert max(row.distance for row in rows if row.motion.result == "completed") <= 0.002
