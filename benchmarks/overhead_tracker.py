@@ -180,7 +180,7 @@ def speed_of(settings: Settings) -> Speed:
     scene, tracker, boxes = scene_of(settings, seed)
     takes = [take for _, take in zip(range(settings.timed_frames), motion(settings, seed, boxes), strict=False)]
     pictures = [scene.render(take.robots, boxes, seed, frame, take.speeds) for frame, take in enumerate(takes)]
-    finder = TagFinder(threads=1)
+    finder = TagFinder()
     whole_window = (0, 0, tracker.calibration.width, tracker.calibration.height)
     wanted = {tag.id for tag in tracker.table.robots.values()}
     results: list[list[float]] = [[], [], [], []]

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -74,14 +77,37 @@ class _LastingDetector(Detector):
         """Free nothing."""
 
 
-class TagFinder:
-    """The detector, at full and at half resolution. Not thread-safe."""
+class _Detector(Detector):
+    """The one detector of a process, which keeps it to its end.
 
-    def __init__(self, threads: int = 1) -> None:
-        self._detectors = {
-            half: _LastingDetector(families="tag36h11", nthreads=threads, quad_decimate=2.0 if half else 1.0, refine_edges=1)
-            for half in (False, True)
-        }
+    To free it crashes (pupil-apriltags frees the families before the detector, which reads them once more: its issues 34, 46
+    and 52), and freed in the right order it still leaves 35 MB of decoding tables behind.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(families="tag36h11", nthreads=1, refine_edges=1)
+        self.lock = threading.Lock()
+
+    def __del__(self) -> None:
+        pass
+
+    def at(self, half: bool, grey: Picture) -> list[Any]:
+        """Detect in a grey picture uint8 [h, w], with quads sought at full or at half resolution."""
+        with self.lock:
+            self.tag_detector_ptr.contents.quad_decimate = 2.0 if half else 1.0
+            return list(self.detect(grey))
+
+
+@lru_cache(maxsize=1)
+def _detector() -> _Detector:
+    return _Detector()
+
+
+class TagFinder:
+    """Finds tags in windows of pictures, on one thread."""
+
+    def __init__(self) -> None:
+        self._detector = _detector()
 
     def find(self, picture: Picture, window: Window, half: bool) -> list[FoundTag]:
         """Find all tags in a window of a picture (uint8 [H, W] or [H, W, 3] RGB), none of them corrected by more than one bit."""
@@ -92,7 +118,7 @@ class TagFinder:
         offset = np.array([window[0] - 0.5, window[1] - 0.5])
         return [
             FoundTag(int(found.tag_id), np.asarray(found.corners, dtype=np.float64) + offset, float(found.decision_margin))
-            for found in self._detectors[half].detect(grey)
+            for found in self._detector.at(half, grey)
             if found.hamming <= 1
         ]
 
