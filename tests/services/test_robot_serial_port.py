@@ -4,24 +4,38 @@ from __future__ import annotations
 
 import math
 import os
-import threading
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections import deque
+from collections.abc import Callable
 from pathlib import Path
+from queue import SimpleQueue
 
+import numpy as np
 import pytest
 
-from schemas import Command, Episode, Layout, Motion, Primitive, Rules, Track
+from schemas import PRIMITIVES, Command, Episode, Layout, Motion, Primitive, Track
 from services.robot.core import RobotCore
 from services.robot.serial_port import SerialPort
 from services.robot.settings import RobotSettings
-from vantage.bus import InProcessNetwork
 from vantage.rehearsal.body import Body, BodySettings
 from vantage.rehearsal.firmware import Firmware, FirmwareSettings
 from vantage.rehearsal.pseudo_terminal import PseudoTerminal
-from vantage.service import SECOND, DeviceLost, Runtime, steady_clock
+from vantage.service import (
+    SECOND,
+    Arrived,
+    Captured,
+    DeviceLost,
+    Publish,
+    Received,
+    Woken,
+    Write,
+    steady_clock,
+)
+from vantage.service.device import DeviceThread
+from vantage.world.arena import STAY
+from vantage.world.game import move_both
 from vantage.world.layout import boxes_array
+from vantage.world.start import draw_start
 
 NOTHING = boxes_array(())
 
@@ -78,8 +92,7 @@ def test_unplugged_and_plugged_in_again(tmp_path: Path) -> None:
     port.open()
     far.close()
     with pytest.raises(DeviceLost, match="unplugged"):
-        for _ in range(20):
-            port.read()
+        read_until(port, lambda _: False)
     port.write(b"gone")
     port.close()
     again = PseudoTerminal(tmp_path / "hider")
@@ -112,47 +125,102 @@ def test_a_pseudo_terminal_replaces_an_old_link_and_takes_only_its_own_away(tmp_
     assert not os.path.lexists(tmp_path / "hider")
 
 
-class Rehearsal:
-    """An emulated hider behind a pseudo-terminal and a camera of 30 frames a second, in real time, in a thread."""
+class RealTable:
+    """In real time: an emulated hider behind a pseudo-terminal, a camera of 30 frames a second, 40 ms late, and the driver."""
 
-    def __init__(self, network: InProcessNetwork, path: Path) -> None:
-        self._bus = network.bus("tracker")
-        self._path = path
-        self._stopping = threading.Event()
-        self._thread = threading.Thread(target=self._run, daemon=True)
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self.terminal: PseudoTerminal | None = PseudoTerminal(path)
         self.body = Body(BodySettings(), 0.4, 0.4, 0.3)
-        self.plugged = threading.Event()
-        self.plugged.set()
-
-    @contextmanager
-    def running(self) -> Iterator[Rehearsal]:
+        self.firmware = Firmware(self.body, FirmwareSettings(), seed=3)
+        self.core = RobotCore(RobotSettings(hider_port=str(path)))
+        self.port = SerialPort("hider", str(path), 115_200)
+        self.motions: list[Motion] = []
+        self._queue: SimpleQueue[object] = SimpleQueue()
+        self._thread = DeviceThread(self.port, self._queue.put, steady_clock)
         self._thread.start()
-        try:
-            yield self
-        finally:
-            self._stopping.set()
-            self._thread.join()
+        self._frame = 0
+        self._tracks: deque[Track] = deque()
 
-    def _run(self) -> None:
-        firmware = Firmware(self.body, FirmwareSettings(), seed=3)
-        terminal: PseudoTerminal | None = None
-        frame = 0
-        while not self._stopping.wait(0.002):
-            if self.plugged.is_set() and terminal is None:
-                terminal = PseudoTerminal(self._path)
-            elif not self.plugged.is_set() and terminal is not None:
-                terminal.close()
-                terminal = None
-            now = steady_clock()
-            if terminal is not None:
-                firmware.feed(terminal.read(), now)
-            data = firmware.advance(now, NOTHING, None)
-            if terminal is not None and data:
-                terminal.write(data)
-            if now * 30 // SECOND != frame:
-                frame = now * 30 // SECOND
-                heading = math.remainder(self.body.heading, math.tau)
-                self._bus.publish("hider/track", Track(stamp=now, x=float(self.body.x), y=float(self.body.y), heading=heading))
-                self._bus.publish("seeker/track", Track(stamp=now, x=0.9, y=0.9, heading=0.0))
-        if terminal is not None:
-            terminal.close()
+    def close(self) -> None:
+        self._thread.stop()
+        if self.terminal is not None:
+            self.terminal.close()
+
+    def run(self, until: Callable[[], bool], limit: float) -> bool:
+        end = time.monotonic() + limit
+        while time.monotonic() < end:
+            if until():
+                return True
+            self._turn()
+            time.sleep(0.001)
+        return until()
+
+    def give(self, received: Received) -> None:
+        for send in self.core.step(received, steady_clock()):
+            if isinstance(send, Write):
+                self.port.write(send.data)
+            elif isinstance(send, Publish) and isinstance(send.message, Motion):
+                self.motions.append(send.message)
+
+    def _turn(self) -> None:
+        now = steady_clock()
+        if self.terminal is not None:
+            self.firmware.feed(self.terminal.read(), now)
+        data = self.firmware.advance(now, NOTHING, None)
+        if self.terminal is not None and data:
+            self.terminal.write(data)
+        if now * 30 // SECOND != self._frame:
+            self._frame = now * 30 // SECOND
+            x, y, heading = float(self.body.x), float(self.body.y), math.remainder(self.body.heading, math.tau)
+            self._tracks.append(Track(stamp=now, x=x, y=y, heading=heading))
+        while self._tracks and self._tracks[0].stamp < now - 40_000_000:
+            track = self._tracks.popleft()
+            self.give(Arrived("hider/track", track))
+            self.give(Arrived("seeker/track", Track(stamp=track.stamp, x=0.9, y=0.9, heading=0.0)))
+        while not self._queue.empty():
+            event = self._queue.get()
+            assert isinstance(event, Captured)
+            self.give(event)
+        wake = self.core.wake_at()
+        if wake is not None and wake <= now:
+            self.give(Woken())
+
+
+def test_primitives_over_a_real_pseudo_terminal_and_a_cable_pulled_in_mid_game(tmp_path: Path) -> None:
+    table = RealTable(tmp_path / "hider")
+    try:
+        x, y, heading = draw_start(NOTHING, 1.2, 1.2, 5, 0.25, 0.45)[0]
+        table.body.x, table.body.y, table.body.heading = x + 0.001, y, 10.0 * math.radians(heading)
+        table.run(lambda: False, 0.3)
+        table.give(Arrived("episode", Episode(stamp=steady_clock(), episode=1, seed=5, phase="setup")))
+        table.give(Arrived("layout", Layout(stamp=steady_clock(), episode=1)))
+        assert table.run(lambda: len(table.motions) == 1, 10.0), table.core.trouble
+        pose = np.array([[x, y, heading], [0.9, 0.9, 0.0]])
+        for step, primitive in enumerate(("forward", "left", "backward", "right", "stay")):
+            step_both(table, step, primitive)
+            assert table.run(lambda wanted=step + 2: len(table.motions) == wanted, 4.0), table.core.trouble  # type: ignore[misc]
+            move_both(NOTHING, 1.2, 1.2, pose, np.array([PRIMITIVES.index(primitive), STAY]), pose, np.empty(2, np.bool_))
+            assert (table.motions[-1].result, table.motions[-1].step) == ("completed", step + 1)
+            assert math.dist((table.body.x, table.body.y), pose[0, :2]) <= 0.002
+            assert abs(math.remainder(table.body.heading - math.radians(10.0 * pose[0, 2]), math.tau)) <= math.radians(2.0)
+
+        assert table.terminal is not None
+        table.terminal.close()
+        table.terminal = None
+        step_both(table, 5, "forward")
+        assert table.run(lambda: len(table.motions) == 7, 3.0)
+        assert table.motions[-1].result == "stopped"
+        assert table.run(lambda: str(table.path) in table.core.trouble, 3.0)
+        table.terminal = PseudoTerminal(table.path)
+        assert table.run(lambda: table.core.trouble == "", 5.0), table.core.trouble
+        step_both(table, 6, "forward")
+        assert table.run(lambda: len(table.motions) == 8, 4.0)
+        assert table.motions[-1].result == "completed"
+    finally:
+        table.close()
+
+
+def step_both(table: RealTable, step: int, primitive: Primitive) -> None:
+    table.give(Arrived("hider/command", Command(stamp=1, episode=1, step=step, primitive=primitive)))
+    table.give(Arrived("seeker/command", Command(stamp=1, episode=1, step=step, primitive="stay")))
