@@ -69,7 +69,7 @@ class PatchColor(msgspec.Struct, frozen=True, kw_only=True):
     mean: tuple[float, float, float]
     """RGB 0..255, of the pixels near the median"""
     covariance: tuple[float, float, float, float, float, float]
-    """rr, rg, rb, gg, gb, bb of these pixels"""
+    """rr, rg, rb, gg, gb, bb of these pixels, smoothed over 3 x 3"""
     pixels: int
     saturated: float = 0.0
     """share of pixels with a channel at 254 or more (0..1)"""
@@ -115,7 +115,8 @@ def measure_rectangle(picture: Bytes, left: int, top: int, width: int, height: i
         raise UnusableColors(
             f"the patch {width} x {height} at ({left}, {top}) leaves the picture of {columns} x {rows}; choose it inside"
         )
-    return _measure(picture[top : top + height, left : left + width].reshape(-1, 3))
+    patch = picture[top : top + height, left : left + width]
+    return _measure(patch.reshape(-1, 3), cv2.blur(np.ascontiguousarray(patch), (3, 3)).reshape(-1, 3))
 
 
 def grow_region(picture: Bytes, x: int, y: int, tolerance: float = 0.06) -> npt.NDArray[np.bool_]:
@@ -146,7 +147,8 @@ def grow_region(picture: Bytes, x: int, y: int, tolerance: float = 0.06) -> npt.
 
 def measure_click(picture: Bytes, x: int, y: int, tolerance: float = 0.06) -> PatchColor:
     """The colour of the surface at a pixel; see `grow_region`."""
-    return _measure(picture[grow_region(picture, x, y, tolerance)])
+    region = grow_region(picture, x, y, tolerance)
+    return _measure(picture[region], cv2.blur(picture, (3, 3))[region])
 
 
 def correct_colors(hider: PatchColor, seeker: PatchColor, grey: PatchColor) -> tuple[ColorCorrection, ColorQuality]:
@@ -231,12 +233,12 @@ def _require_picture(picture: Bytes) -> tuple[int, int]:
     return picture.shape[0], picture.shape[1]
 
 
-def _measure(pixels: Bytes) -> PatchColor:
-    """pixels uint8 [n, 3]."""
+def _measure(pixels: Bytes, smoothed: Bytes) -> PatchColor:
+    """pixels uint8 [n, 3] and the same of the picture smoothed over 3 x 3: about what a published pixel averages."""
     count = pixels.shape[0]
     if count < FEWEST_PIXELS:
         raise UnusableColors(f"the patch has {count} pixels, needs {FEWEST_PIXELS}: choose a larger one or move closer")
-    values = pixels.astype(np.float64)
+    values = smoothed.astype(np.float64)
     median = np.median(values, axis=0)
     deviation = 1.4826 * np.median(np.abs(values - median), axis=0)
     near = np.all(np.abs(values - median) <= 4.0 * np.maximum(deviation, 2.0), axis=1)
