@@ -60,10 +60,8 @@ def test_measured_colors_become_canonical_under_any_light(
     gains = (red * brightness, green * brightness, blue * brightness)
     patches = three(gains, seed)
     # Refused only where pixels are cut at 255, or where noise of 3 is much of what little light there is.
-    if (
-        np.max(np.array([HIDER_COLOR, SEEKER_COLOR, FLOOR_COLOR]) * gains) > 245.0
-        or min(patch_sum(each) for each in patches) < 80.0
-    ):
+    brightest = np.max(np.array([HIDER_COLOR, SEEKER_COLOR, FLOOR_COLOR]) * gains)
+    if brightest > 245.0 or min(sum(each.mean) for each in patches) < 80.0:
         with contextlib.suppress(UnusableColors):
             correct_colors(*patches)
         return
