@@ -77,8 +77,12 @@ def main(settings: EvaluateMapsSettings) -> int:
     with Progress(*columns) as progress:
         task = progress.add_task("true maps", total=len(seeds))
         for case in cases_of(seeds, rules, settings.seeker, settings.simulations, settings.threads):
-            cases.append(case)
+            if len(case.goals):
+                cases.append(case)
             progress.advance(task)
+        if not cases:
+            print("no start leaves the hider a goal it could drive to: take another layout", file=sys.stderr)
+            return 2
         for method in methods:
             task = progress.add_task(method.name, total=len(cases))
             found = []
@@ -92,7 +96,7 @@ def main(settings: EvaluateMapsSettings) -> int:
         "left out": left_out,
         "weights": {method.name: {stem: card.sha256 for stem, card in method.cards.items()} for method in methods},
         "seed": settings.seed,
-        "starts": seeds,
+        "starts": [case.seed for case in cases],
         "seeker": settings.seeker,
         "layout": settings.layout,
         "simulations": settings.simulations,

@@ -192,6 +192,12 @@ CAUGHT_PRESETS: dict[str, CaughtRecipe] = {
 }
 
 
+def caught_recipe(model: CaughtModel, preset: Literal["paper", "compact"]) -> CaughtRecipe:
+    """Return a preset's recipe for a network; attention learns at half the rate of convolutions."""
+    recipe = CAUGHT_PRESETS[preset]
+    return replace(recipe, rate=0.5 * recipe.rate) if model == "hazard-attention" else recipe
+
+
 def caught_notes_of(model: CaughtModel, recipe: CaughtRecipe) -> list[str]:
     """Return what people should know of weights trained so."""
     beyond = model in ("hazard", "hazard-attention")

@@ -23,7 +23,7 @@ from learning.dataset import Dataset, prefetch
 from learning.group import Group, join_group
 from learning.measures import accuracy, area_under_roc, balanced_accuracy
 from learning.methods.survival import caught_logits
-from learning.recipe import CAUGHT_PRESETS, CaughtModel, CaughtRecipe, Schedule, caught_notes_of, rate_factor
+from learning.recipe import CaughtModel, CaughtRecipe, Schedule, caught_notes_of, caught_recipe, rate_factor
 from learning.tensors import in_unit_range, on_device
 from vantage.log import source_commit
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
@@ -82,7 +82,8 @@ def resolve(settings: TrainCaughtSettings) -> CaughtRecipe:
     """Return the preset with what the command line changes."""
     names = ("samples", "batch", "rate", "schedule", "drop")
     return replace(
-        CAUGHT_PRESETS[settings.preset], **{name: value for name in names if (value := getattr(settings, name)) is not None}
+        caught_recipe(settings.model, settings.preset),
+        **{name: value for name in names if (value := getattr(settings, name)) is not None},
     )
 
 

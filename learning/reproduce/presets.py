@@ -157,6 +157,7 @@ PRESETS: dict[str, Preset] = {
         others=_other_kinds((300, 50, 300))[:3],
         groups=(
             Group("compared", COMPARED, "compact", 80_000, vpn=(48_000, 3), plain=True, maps=True, vpn_on_true=True),
+            Group("attention", ("hazard-attention",), "compact", 500_000, kind=_LARGE, maps=True),
             Group("paper-network", ("vpt-tob", "whole-image"), "paper", 16_000, batch=32),
             RELEASED,
             *_rates(12_000, "hazard", batch=32),
@@ -174,7 +175,7 @@ PRESETS: dict[str, Preset] = {
         others=_other_kinds(_PAPER_GAMES),
         groups=(
             Group("compared", (*COMPARED, "whole-image"), "paper", 5_000_000, maps=True, vpn_on_true=True),
-            Group("longer", ("vpt-tob", "hazard"), "compact", 5_000_000, kind=_LARGE, maps=True),
+            Group("longer", ("vpt-tob", "hazard", "hazard-attention"), "compact", 5_000_000, kind=_LARGE, maps=True),
             RELEASED,
             *(Group(kind.name, ("vpt-tob", "hazard"), "paper", 5_000_000, kind=kind) for kind in _other_kinds(_PAPER_GAMES)),
             *_rates(1_000_000, "vpt-tob"),

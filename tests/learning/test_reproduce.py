@@ -180,7 +180,7 @@ def test_given_weights_are_not_trained_and_their_change_is_noticed(tmp_path: Pat
             stages[name].reads == tuple(path for path in given if path.parent.name == "longer")
             and "train longer/vpt-tob" not in stages[name].needs
         )
-    for stem in ("vpn", "hazard"):
+    for stem in ("vpn", "hazard", "hazard-attention"):
         (source / f"{stem}.safetensors").write_text("trained")
         for ending in ("json", "md"):
             (source / f"{stem}.{ending}").write_text("")
