@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import cv2
@@ -45,7 +46,7 @@ _STEP: Final = 0.25
 def find_tags(picture: Picture) -> list[FoundTag]:
     """Return every tag in a picture, searched at full resolution: slow, and sure."""
     rows, columns = picture.shape[:2]
-    return distinct(TagFinder().find(picture, (0, 0, columns, rows), half=False))
+    return distinct(_finder().find(picture, (0, 0, columns, rows), half=False))
 
 
 def check_picture(
@@ -111,6 +112,11 @@ def edge_width(grey: Picture, tag: FoundTag) -> tuple[float, float]:
             rising = np.maximum.accumulate((profile - low) / (high - low))
             widths.append(float(np.interp(0.9, rising, offsets) - np.interp(0.1, rising, offsets)))
     return (float(np.median(widths)) if widths else 2 * reach), float(np.median(heights))
+
+
+@lru_cache(maxsize=1)
+def _finder() -> TagFinder:
+    return TagFinder()
 
 
 def _light(grey: Picture, table: Table, camera: OverheadCamera | None) -> Verdict:

@@ -177,7 +177,8 @@ def ruler_page(paper: Paper) -> Page:
         "All sheets must come from the same printer with the same settings as this one.",
         size=3.6,
     )
-    ends = [(x, y, 1.0, 0.0), (x, y, 0.0, 1.0)]
+    # Apart from each other, so that no tick lengthens a line.
+    ends = [(x, y - 15.0, 1.0, 0.0), (x, y, 0.0, 1.0)]
     for start_x, start_y, right, up in ends:
         page.line([(start_x, start_y), (start_x + RULER * right, start_y + RULER * up)], width=0.2)
         for tick in range(int(RULER) + 1):
