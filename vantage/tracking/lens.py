@@ -21,8 +21,11 @@ Picture = npt.NDArray[np.uint8]
 FEWEST_VIEWS = 8
 FEWEST_CORNERS = 8
 """of the board in a picture"""
+FEWEST_TILTED = 3
+TILTED = 0.04
+"""Change of the distance over the board, as a share of it, from which a board counts as tilted."""
 GREATEST_FOCAL_DEVIATION = 0.02
-"""Standard deviation of the focal length as a share of it: more says that the board was never tilted."""
+"""Standard deviation of the focal length as a share of it: more says that the pictures do not settle it."""
 GREATEST_LENS_RESIDUAL = 0.5
 """px, root mean square: more says that the board is bent or the pictures are blurred."""
 
@@ -184,6 +187,19 @@ def _require_views(views: Sequence[_View], fewest: int, refused: Sequence[tuple[
             f"{len(views)} good pictures of the board, {fewest} are needed: take more, at other places and tilts"
             + (f" ({reasons})" if reasons else "")
         )
+    # Without tilt a near lens and a far one give the same pictures, and the fit may settle on either.
+    tilted = sum(_foreshortening(view) > TILTED for view in views)
+    if tilted < FEWEST_TILTED:
+        raise CalibrationFailed(
+            f"{tilted} pictures show the board tilted, {FEWEST_TILTED} are needed: tilt it by 20 to 40 degrees in half of them"
+        )
+
+
+def _foreshortening(view: _View) -> float:
+    """Change of the distance over the board, as a share of it: the perspective part of the map from board to picture."""
+    middle, reach = view.places[:, :2].mean(axis=0), float(np.ptp(view.places[:, :2], axis=0).max())
+    homography, _ = cv2.findHomography((view.places[:, :2] - middle) / reach, view.pixels)
+    return 0.0 if homography is None else float(np.hypot(homography[2, 0], homography[2, 1]) / abs(homography[2, 2]))
 
 
 def _fit(views: Sequence[_View], size: tuple[int, int]) -> _Fit:
@@ -194,5 +210,5 @@ def _fit(views: Sequence[_View], size: tuple[int, int]) -> _Fit:
     residual, matrix, distortion, _, _, deviations, _, errors = result
     focal_deviation = float(np.asarray(deviations).ravel()[0])
     if not math.isfinite(residual) or focal_deviation > GREATEST_FOCAL_DEVIATION * float(matrix[0, 0]):
-        raise CalibrationFailed("the pictures do not settle the lens: tilt the board by 20 to 40 degrees in half of them")
+        raise CalibrationFailed("the pictures do not settle the lens: take more, tilted, up to the picture's corners")
     return _Fit(float(residual), matrix, distortion, np.asarray(errors, dtype=np.float64).ravel())
