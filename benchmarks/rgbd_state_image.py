@@ -30,7 +30,7 @@ from vantage.perception.state_image import Perceived, perceive
 from vantage.rehearsal.rgbd_picture import RgbdCamera, RgbdLook, render_rgbd
 from vantage.tracking.colors import correct_colors, measure_rectangle
 from vantage.tracking.rgbd import RgbdCalibration, RgbdPreparer, default_rgbd
-from vantage.tracking.rgbd_lens import Lens
+from vantage.tracking.rgbd_lens import Lens, lens_of
 from vantage.world.arena import ARENA_SIZE, HIDER_COLOR, ROBOT_RADIUS, SEEKER_COLOR, WALL_COLOR
 from vantage.world.camera import Camera, render
 from vantage.world.layout import boxes_array, make_layout
@@ -225,6 +225,7 @@ def variants() -> dict[str, tuple[RgbdCamera, RgbdCalibration]]:
         "tilt 10 degrees": with_geometry(tilt=math.radians(10.0)),
         "20 mm ahead of the centre": with_geometry(forward=0.02),
         "lenses 25 mm apart": with_geometry(translation=(-0.025, 0.0, 0.0)),
+        "colour lens 69 degrees wide": with_geometry(color=lens_of(640, 480, math.radians(69.0))),
         "distorted lenses": with_geometry(depth=bent(geometry.depth), color=bent(geometry.color)),
         "noise doubled": (RgbdCamera(geometry, RgbdLook(noise=2.0)), geometry),
         "5 % holes": (RgbdCamera(geometry, RgbdLook(holes=0.05)), geometry),

@@ -19,6 +19,7 @@ from vantage.tracking.rgbd import (
     RgbdCalibration,
     RgbdPreparer,
     UnusableRgbdCalibration,
+    coverage,
     default_rgbd,
     load_rgbd,
     prepare,
@@ -302,3 +303,17 @@ def test_colors_come_corrected() -> None:
     calibration = RgbdCalibration(depth=lens, color=lens, correction=ColorCorrection(matrix=matrix))
     _, color, _ = prepare(np.full((120, 160), 500, np.uint16), np.broadcast_to(seen, (120, 160, 3)).copy(), calibration, 40, 30)
     assert np.all(color == SEEKER_COLOR)
+
+
+def test_coverage_is_the_share_of_columns_that_a_wall_fills() -> None:
+    assert coverage(default_rgbd()) == (1.0, 1.0)
+    for changes in ({"color": lens_of(640, 480, math.radians(69.0))}, {"forward": 0.06}, {"tilt": 0.3}, {"left": 0.05}):
+        calibration = msgspec.structs.replace(default_rgbd(), **changes)
+        # A wall across, 0.6 m ahead of the robot's centre.
+        scene = render_rgbd(RgbdCamera(calibration, EXACT), NO_BOXES, (0.6, 0.6, 0.0), None, 1, 1, 0, 0)
+        depth, color, pinhole = prepare(*scene, calibration)
+        middle = slice(60, 60 + int(0.04 / 0.6 * pinhole.fy) + 1)
+        expected = np.mean(np.any(depth[middle] > 0, axis=0)), np.mean(np.any(color[middle] > 0, axis=(0, 2)))
+        shares = coverage(calibration)
+        assert shares == pytest.approx(expected, abs=0.02)
+        assert min(shares) < 1.0

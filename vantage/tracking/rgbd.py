@@ -21,8 +21,8 @@ import numpy.typing as npt
 
 from schemas import Intrinsics
 from vantage.tracking.colors import ColorCorrection
-from vantage.tracking.rgbd_kernels import BLOCK, gather, project, sort_into_cells
-from vantage.tracking.rgbd_lens import Lens, lens_of, pixel_rays
+from vantage.tracking.rgbd_kernels import BLOCK, find_places, gather, sort_into_cells
+from vantage.tracking.rgbd_lens import Lens, lens_of, pixel_rays, project
 from vantage.world.arena import MOUNT_HEIGHT
 
 Bytes = npt.NDArray[np.uint8]
@@ -132,6 +132,29 @@ def published_intrinsics(calibration: RgbdCalibration, width: int, height: int) 
     return Intrinsics(fx=focal, fy=focal, cx=(width - 1) / 2.0, cy=(height - 1) / 2.0, mount_height=calibration.mount_height)
 
 
+def coverage(calibration: RgbdCalibration, distance: float = 0.6) -> tuple[float, float]:
+    """Shares (0..1) of the published columns in which the depth lens, and both lenses, see a wall across, `distance` m ahead.
+
+    Counted at the height of the depth lens down to half of it. Below 1 the other robot is missed at the picture's sides: the
+    lens is too narrow, tilted or too far ahead of the robot's centre.
+    """
+    pinhole = published_intrinsics(calibration, PUBLISHED_WIDTH, PUBLISHED_HEIGHT)
+    across = distance * (np.arange(PUBLISHED_WIDTH) - pinhole.cx) / pinhole.fx
+    below = np.linspace(0.0, 0.5 * calibration.mount_height, 5)
+    right, down = np.meshgrid(across, below)
+    place = np.array([-calibration.left, 0.0, calibration.forward])
+    points = (np.stack((right, down, np.full_like(right, distance)), axis=-1) - place) @ level_rotation(calibration.tilt)
+    rotation = np.array(calibration.rotation, dtype=np.float64).reshape(3, 3)
+    shares = []
+    visible = np.ones(right.shape, dtype=bool)
+    for lens, seen in ((calibration.depth, points), (calibration.color, points @ rotation.T + np.array(calibration.translation))):
+        pixels = project(lens, seen)
+        inside = (pixels > -0.5) & (pixels < np.array([lens.width - 0.5, lens.height - 0.5]))
+        visible &= np.all(inside, axis=-1) & (seen[..., 2] > 0.0)
+        shares.append(float(np.mean(np.any(visible, axis=0))))
+    return shares[0], shares[1]
+
+
 class RgbdPreparer:
     """`prepare` for one camera: tables and buffers are made once."""
 
@@ -150,11 +173,11 @@ class RgbdPreparer:
         density = (depth_lens.fx * depth_lens.fy) / (self.intrinsics.fx * self.intrinsics.fy)
         self._fewest = max(1, int(_FEWEST_SHARE * density))
         self._color_every = 2 if density >= _DENSE else 1
-        self._level_rays = _rotated_rays(depth_lens, level_rotation(calibration.tilt))
-        self._level_origin = np.array([-calibration.left, 0.0, calibration.forward])
+        self._slopes = np.ascontiguousarray(np.moveaxis(pixel_rays(depth_lens), -1, 1).astype(np.float32))
+        place = np.array([-calibration.left, 0.0, calibration.forward])
+        self._to_level = np.column_stack((level_rotation(calibration.tilt), place)).astype(np.float32)
+        self._to_color = np.column_stack((rotation, np.array(calibration.translation))).astype(np.float32)
         self._pinhole = np.array([self.intrinsics.fx, self.intrinsics.fy, self.intrinsics.cx, self.intrinsics.cy])
-        self._color_rays = _rotated_rays(depth_lens, rotation)
-        self._color_origin = np.array(calibration.translation, dtype=np.float64)
         self._color_lens = np.array([color_lens.fx, color_lens.fy, color_lens.cx, color_lens.cy])
         self._distortion = np.array(color_lens.distortion, dtype=np.float64)
         self._largest_square = 1.2 * float(np.max(np.sum(np.square(pixel_rays(color_lens)), axis=-1)))
@@ -186,16 +209,15 @@ class RgbdPreparer:
         depth_lens, color_lens = self.calibration.depth, self.calibration.color
         require_picture("depth", depth, np.uint16, (depth_lens.height, depth_lens.width))
         require_picture("colour", color, np.uint8, (color_lens.height, color_lens.width, 3))
-        project(
+        find_places(
             depth,
             self.calibration.depth_unit,
             self.calibration.nearest,
-            self._level_rays,
-            self._level_origin,
+            self._slopes,
+            self._to_level,
             self._pinhole,
             *self.shape,
-            self._color_rays,
-            self._color_origin,
+            self._to_color,
             self._color_lens,
             self._distortion,
             any(color_lens.distortion),
@@ -244,13 +266,6 @@ def level_rotation(tilt: float) -> npt.NDArray[np.float64]:
     """From the frame of a camera that looks down by `tilt` rad to the level frame, float64 [3, 3]."""
     cosine, sine = math.cos(tilt), math.sin(tilt)
     return np.array([[1.0, 0.0, 0.0], [0.0, cosine, sine], [0.0, -sine, cosine]])
-
-
-def _rotated_rays(lens: Lens, rotation: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """Directions of a lens's pixels with z = 1 before the rotation: float32 [H, 3, W]."""
-    slopes = pixel_rays(lens)
-    rays = np.concatenate((slopes, np.ones((lens.height, lens.width, 1))), axis=-1)
-    return np.ascontiguousarray(np.moveaxis(rays @ rotation.T, -1, 1).astype(np.float32))
 
 
 def require_picture(name: str, picture: npt.NDArray[np.generic], kind: type[np.generic], shape: tuple[int, ...]) -> None:

@@ -21,17 +21,16 @@ _NEAREST = 1e-3
 
 
 @kernel
-def project(
+def find_places(
     depth: Depths,  # [H, W]
     unit: float,
     nearest: float,
-    level_rays: Floats32,  # [H, 3, W]: direction of each depth pixel in the level frame, per unit of depth
-    level_origin: npt.NDArray[np.float64],  # [3], of the depth lens in the level frame, m
+    slopes: Floats32,  # [H, 2, W]: x / z and y / z of what each depth pixel looks at
+    to_level: Floats32,  # [3, 4]: rotation and, m, translation from the depth lens's frame to the level frame
     pinhole: npt.NDArray[np.float64],  # [4]: fx, fy, cx, cy of the published picture, px
     rows_out: int,
     columns_out: int,
-    color_rays: Floats32,  # [H, 3, W]: the same in the frame of the colour lens
-    color_origin: npt.NDArray[np.float64],  # [3]
+    to_color: Floats32,  # [3, 4]: the same to the frame of the colour lens
     lens: npt.NDArray[np.float64],  # [4]: fx, fy, cx, cy of the colour lens, px
     distortion: npt.NDArray[np.float64],  # [5]
     is_distorted: bool,
@@ -65,38 +64,82 @@ def project(
     axial = np.empty(columns, np.float32)
     for v in range(rows):
         # A row at a time, arithmetic and decisions apart: the former then runs in vector instructions.
-        _project_row(depth[v], unit, color_rays[v], color_origin, distortion, is_distorted, largest_square, across, down, axial)
+        _project_row(depth[v], unit, slopes[v], to_color, distortion, is_distorted, largest_square, across, down, axial)
         _to_pixels(across, down, lens)
-        for u in range((v & 1) if color_every == 2 else 0, columns, color_every):
-            places_out[v, u] = -1
-            if depth[v, u] < lowest or axial[u] <= _NEAREST:
-                continue
-            if 0.0 <= across[u] < color_columns and 0.0 <= down[u] < color_rows:
-                column = int(across[u])
-                row = int(down[u])
-                places_out[v, u] = row * color_columns + column
-                color_depths_out[v, u] = axial[u]
-                if axial[u] < nearest_out[row // BLOCK, column // BLOCK]:
-                    nearest_out[row // BLOCK, column // BLOCK] = axial[u]
-        _project_row(depth[v], unit, level_rays[v], level_origin, distortion, False, np.inf, across, down, axial)
+        _find_color(
+            v & 1 if color_every == 2 else 0,
+            color_every,
+            depth[v],
+            lowest,
+            across,
+            down,
+            axial,
+            color_rows,
+            color_columns,
+            places_out[v],
+            color_depths_out[v],
+            nearest_out,
+        )
+        _project_row(depth[v], unit, slopes[v], to_level, distortion, False, np.inf, across, down, axial)
         _to_pixels(across, down, pinhole)
-        for u in range(columns):
-            cells_out[v, u] = -1
-            if depth[v, u] < lowest or axial[u] <= _NEAREST:
-                continue
-            if 0.0 <= across[u] < columns_out and 0.0 <= down[u] < rows_out:
-                cell = int(down[u]) * columns_out + int(across[u])
-                cells_out[v, u] = cell
-                depths_out[v, u] = axial[u]
-                starts_out[cell + 1] += 1
+        _find_cells(depth[v], lowest, across, down, axial, rows_out, columns_out, cells_out[v], depths_out[v], starts_out)
+
+
+@kernel
+def _find_color(
+    first: int,
+    every: int,
+    depth: Depths,  # [W]
+    lowest: int,
+    across: Floats32,  # [W]
+    down: Floats32,  # [W]
+    axial: Floats32,  # [W]
+    rows: int,
+    columns: int,
+    places_out: Integers32,  # [W]
+    color_depths_out: Floats32,  # [W]
+    nearest_out: Floats32,  # [blocks, blocks]
+) -> None:
+    for u in range(first, depth.shape[0], every):
+        place = np.int32(-1)
+        if depth[u] >= lowest and axial[u] > _NEAREST and 0.0 <= across[u] < columns and 0.0 <= down[u] < rows:
+            column = np.uint32(across[u])
+            row = np.uint32(down[u])
+            place = np.int32(row * columns + column)
+            color_depths_out[u] = axial[u]
+            if axial[u] < nearest_out[row // BLOCK, column // BLOCK]:
+                nearest_out[row // BLOCK, column // BLOCK] = axial[u]
+        places_out[u] = place
+
+
+@kernel
+def _find_cells(
+    depth: Depths,  # [W]
+    lowest: int,
+    across: Floats32,  # [W]
+    down: Floats32,  # [W]
+    axial: Floats32,  # [W]
+    rows: int,
+    columns: int,
+    cells_out: Integers32,  # [W]
+    depths_out: Floats32,  # [W]
+    starts_out: Integers32,  # [cells + 1]
+) -> None:
+    for u in range(depth.shape[0]):
+        cell = np.int32(-1)
+        if depth[u] >= lowest and axial[u] > _NEAREST and 0.0 <= across[u] < columns and 0.0 <= down[u] < rows:
+            cell = np.int32(np.uint32(down[u]) * columns + np.uint32(across[u]))
+            starts_out[np.uint32(cell + 1)] += 1
+        cells_out[u] = cell
+        depths_out[u] = axial[u]
 
 
 @kernel
 def _project_row(
     depth: Depths,  # [W]
     unit: float,
-    rays: Floats32,  # [3, W]
-    origin: npt.NDArray[np.float64],  # [3]
+    slopes: Floats32,  # [2, W]
+    motion: Floats32,  # [3, 4]
     distortion: npt.NDArray[np.float64],  # [5]
     is_distorted: bool,
     largest_square: float,
@@ -106,17 +149,19 @@ def _project_row(
 ) -> None:
     """Slopes (distorted) and depth along the axis of a row of depth pixels before a lens; NaN beyond `largest_square`."""
     scale = np.float32(unit)
-    origin_x = np.float32(origin[0])
-    origin_y = np.float32(origin[1])
-    origin_z = np.float32(origin[2])
     one = np.float32(1.0)
+    xx, xy, xz, shift_x = motion[0, 0], motion[0, 1], motion[0, 2], motion[0, 3]
+    yx, yy, yz, shift_y = motion[1, 0], motion[1, 1], motion[1, 2], motion[1, 3]
+    zx, zy, zz, shift_z = motion[2, 0], motion[2, 1], motion[2, 2], motion[2, 3]
     for u in range(depth.shape[0]):
         z = scale * np.float32(depth[u])
-        axial = z * rays[2, u] + origin_z
+        right = slopes[0, u]
+        below = slopes[1, u]
+        axial = z * (zx * right + zy * below + zz) + shift_z
         inverse = one / axial
         axial_out[u] = axial
-        x_out[u] = (z * rays[0, u] + origin_x) * inverse
-        y_out[u] = (z * rays[1, u] + origin_y) * inverse
+        x_out[u] = (z * (xx * right + xy * below + xz) + shift_x) * inverse
+        y_out[u] = (z * (yx * right + yy * below + yz) + shift_y) * inverse
     if not is_distorted:
         return
     k1, k2, p1, p2, k3 = distortion[0], distortion[1], distortion[2], distortion[3], distortion[4]
