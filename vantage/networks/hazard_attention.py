@@ -38,7 +38,7 @@ class HazardAttentionSettings:
     """
 
     encoder: Channels = PAPER
-    size: int = 128
+    size: int = 96
     heads: int = 4
     layers: int = 3
     dropout: float = 0.1
@@ -59,10 +59,8 @@ class HazardAttention(nn.Module):
         c = (3, *s.encoder)
         self.stages = nn.ModuleList(Stage(c[i], c[i + 1], c[i + 2]) for i in (0, 2, 4, 6))
         self.context = WholeImage(c[8])
-        self.fine = nn.Conv2d(c[6], s.size, 1)  # 16 x 16
-        self.coarse = nn.Conv2d(c[8], s.size, 1)  # 8 x 8
-        self.fine_place = nn.Parameter(torch.randn(s.size, 16, 16) * 0.02)
-        self.coarse_place = nn.Parameter(torch.randn(s.size, 8, 8) * 0.02)
+        self.view = nn.Conv2d(c[8], s.size, 1)
+        self.place = nn.Parameter(torch.randn(s.size, 8, 8) * 0.02)
         self.told = nn.Sequential(nn.Linear(_TOLD + c[4] + c[6], s.size), nn.ReLU(), nn.Linear(s.size, s.size))
         self.moment = nn.Parameter(torch.randn(s.checkpoints, s.size) * 0.02)
         layer = nn.TransformerDecoderLayer(
@@ -80,8 +78,7 @@ class HazardAttention(nn.Module):
         quarter = self.stages[1](self.stages[0](view))  # [B, C, 32, 32]
         eighth = self.stages[2](quarter)  # [B, C, 16, 16]
         sixteenth = self.context(self.stages[3](eighth))  # [B, C, 8, 8]
-        fine, coarse = self.fine(eighth) + self.fine_place, self.coarse(sixteenth) + self.coarse_place
-        seen = torch.cat([fine.flatten(2), coarse.flatten(2)], dim=2).transpose(1, 2)  # [B, 320, size]
+        seen = (self.view(sixteenth) + self.place).flatten(2).transpose(1, 2)  # [B, 64, size]
         slots = vector[:, :-1].unflatten(1, (SLOTS, 3))[:, : self.settings.checkpoints]  # [B, K, 3]
         places = slots[:, :, :2]
         there = [_sampled(image, places) for image in (quarter, eighth)]
