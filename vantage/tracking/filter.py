@@ -101,6 +101,10 @@ class PoseFilter:
         assert len(covariance) == 6
         return TrackState(x, y, wrapped(heading), speed_x, speed_y, turn_rate, covariance, self._seen, self._stamp)
 
+    def end(self) -> None:
+        """End the track: the next pose begins a new one."""
+        self._alive = self._seen = False
+
     def predict(self, stamp: int) -> None:
         """Move on to a picture's stamp, ns. A track unseen for too long ends, and so does one of a clock that went backwards."""
         self._seen = False
