@@ -143,9 +143,10 @@ def calibrate_robot(settings: CalibrateRobot) -> int:
 def colors(settings: Colors) -> int:
     """Measure colours and write the correction into the robot's file."""
     with cameras_there():
-        from vantage.setting_up.coloring import SURFACES, measure_colors, parse_place
+        from vantage.setting_up.coloring import SURFACES, measure_colors, parse_place, side_by_side
         from vantage.setting_up.pictures import open_source, write_picture
         from vantage.setting_up.robot_camera import load_or_refuse, save_correction
+        from vantage.tracking.colors import LEAST_MARGIN, UnusableColors, correct_colors, lighting_limits
     target = settings.to or Path(f"{settings.robot}.json")
     texts = {"hider": settings.hider, "seeker": settings.seeker, "grey": settings.grey}
     places = {surface: parse_place(surface, text) for surface, text in texts.items() if text}
@@ -157,20 +158,23 @@ def colors(settings: Colors) -> int:
         missing = ", ".join(f"--{surface}" for surface in SURFACES if surface not in places)
         raise TableTrouble(f"the picture is saved as {annotated}: find the surfaces in it and give their pixels: {missing} X,Y")
     calibration = load_or_refuse(target, settings.robot)
-    measured, correction, quality, shown = measure_colors(picture, places)
-    write_picture(annotated, shown)
+    measured, outlined = measure_colors(picture, places)
+    write_picture(annotated, outlined)  # also where what follows refuses it: people want to see why
     for surface, patch in measured.items():
         mean = ", ".join(f"{value:.0f}" for value in patch.mean)
         console.print(f"{surface:<7} red, green, blue {mean} over {patch.pixels} pixels")
-    margins = {"hider": quality.hider, "seeker": quality.seeker, "grey": quality.grey, "hider from seeker": quality.apart}
-    for name, margin in margins.items():
-        console.print(f"margin of {name}: {margin:+.3f} {'' if margin > 0 else '[red](it will be mistaken)[/]'}".rstrip())
-    if min(margins.values()) <= 0.0:
-        worst = min(margins, key=lambda name: margins[name])
-        raise TableTrouble(
-            f"the colours cannot be told apart safely ({worst}), nothing is written: light without a colour cast, purer colours "
-            f"on the robots, patches within one surface (see {annotated})"
-        )
+    try:
+        correction, quality = correct_colors(measured["hider"], measured["seeker"], measured["grey"])
+    except UnusableColors as error:
+        raise TableTrouble(f"{error} (what was measured: {annotated})") from error
+    write_picture(annotated, side_by_side(outlined, picture, correction))
+    for name, margin in (("hider", quality.hider), ("seeker", quality.seeker), ("grey", quality.grey), ("apart", quality.apart)):
+        console.print(f"margin {name:<7} {margin:.3f} (at least {LEAST_MARGIN:g} is needed)")
+    limits = lighting_limits(correction, measured["hider"], measured["seeker"], measured["grey"])
+    dark, bright = limits.brightness
+    console.print(f"holds while the light is {dark:.2f} to {bright:.2f} times as bright, and for a change of one colour alone:")
+    ranges = {"red": limits.red, "green": limits.green, "blue": limits.blue}
+    console.print("  " + ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, (low, high) in ranges.items()))
     save_correction(calibration, correction, target)
     console.print(f"{target} written; the picture as measured and as corrected: {annotated}", soft_wrap=True)
     return 0

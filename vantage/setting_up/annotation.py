@@ -117,6 +117,14 @@ class Canvas:
         cv2.rectangle(self.picture, (left, top), (left + width - 1, top + height - 1), color, self._thick)
         self.words(label, (left, top - 5), color)
 
+    def region(self, region: npt.NDArray[np.bool_], color: Color, label: str) -> None:
+        """Outline a part of the picture, bool [H, W]."""
+        outlines, _ = cv2.findContours(region.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+        cv2.drawContours(self.picture, outlines, -1, (0, 0, 0), 3 * self._thick)
+        cv2.drawContours(self.picture, outlines, -1, color, self._thick)
+        rows, columns = np.nonzero(region)
+        self.words(label, (float(columns.min()), float(rows.min()) - 5.0), color)
+
     def _project(self, points: Floats) -> Floats:
         if self._camera is None:
             raise ValueError("nothing of the arena can be drawn without a calibration")

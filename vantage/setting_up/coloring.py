@@ -1,4 +1,4 @@
-"""Measuring the robots' colours in a picture of a robot's colour camera, and the correction that follows."""
+"""Measuring the robots' colours in a picture of a robot's colour camera."""
 
 from __future__ import annotations
 
@@ -10,14 +10,7 @@ import numpy.typing as npt
 
 from vantage.setting_up.annotation import ROBOT_COLORS, Canvas
 from vantage.setting_up.trouble import TableTrouble
-from vantage.tracking.colors import (
-    ColorCorrection,
-    ColorQuality,
-    PatchColor,
-    correct_colors,
-    measure_click,
-    measure_rectangle,
-)
+from vantage.tracking.colors import ColorCorrection, PatchColor, grow_region, measure_click, measure_rectangle
 
 Picture = npt.NDArray[np.uint8]
 SURFACES: Final = ("hider", "seeker", "grey")
@@ -51,21 +44,19 @@ def parse_place(surface: str, text: str) -> Place:
     return Place(*numbers)
 
 
-def measure_colors(
-    picture: Picture, places: dict[str, Place]
-) -> tuple[dict[str, PatchColor], ColorCorrection, ColorQuality, Picture]:
-    """Measure three surfaces and find the correction.
+def measure_colors(picture: Picture, places: dict[str, Place]) -> tuple[dict[str, PatchColor], Picture]:
+    """Measure three surfaces.
 
     Args:
         picture: uint8 [H, W, 3] RGB.
         places: of the surfaces hider, seeker and grey.
 
     Returns:
-        What was measured, the correction, its margins, and the annotated picture: the corrected one beside the measured one.
+        What was measured, and the picture with what was measured outlined.
 
     Raises:
         TableTrouble: a place lies outside of the picture.
-        UnusableColors: no correction follows; the text says why.
+        UnusableColors: nothing can be measured there; the text says why.
     """
     rows, columns = picture.shape[:2]
     canvas = Canvas(picture)
@@ -79,16 +70,15 @@ def measure_colors(
             canvas.rectangle(place.x, place.y, place.width, place.height, _FRAME[surface], surface)
         else:
             measured[surface] = measure_click(picture, place.x, place.y)
-            canvas.rectangle(max(place.x - 4, 0), max(place.y - 4, 0), 9, 9, _FRAME[surface], surface)
-    correction, quality = correct_colors(measured["hider"], measured["seeker"], measured["grey"])
-    corrected = Canvas(apply_correction(picture, correction))
-    corrected.words("corrected", (6.0, 18.0), (255, 255, 255))
-    canvas.words("as measured", (6.0, 18.0), (255, 255, 255))
-    return measured, correction, quality, np.concatenate((canvas.picture, corrected.picture), axis=1)
+            canvas.region(grow_region(picture, place.x, place.y), _FRAME[surface], surface)
+    return measured, canvas.picture
 
 
-def apply_correction(picture: Picture, correction: ColorCorrection) -> Picture:
-    """Return a picture uint8 [H, W, 3] RGB with its colours corrected; for people to look at."""
-    matrix = np.array(correction.matrix, dtype=np.float64).reshape(3, 3)
-    values = picture.astype(np.float64) @ matrix.T + np.array(correction.offset)
-    return np.clip(np.round(values), 0.0, 255.0).astype(np.uint8)
+def side_by_side(outlined: Picture, picture: Picture, correction: ColorCorrection) -> Picture:
+    """Return a picture as measured, with outlines, and beside it as corrected; uint8 [H, 2 W, 3] RGB."""
+    shown = []
+    for half, label in ((outlined, "as measured"), (np.round(correction.apply(picture)).astype(np.uint8), "corrected")):
+        canvas = Canvas(half)
+        canvas.words(label, (6.0, 18.0), (255, 255, 255))
+        shown.append(canvas.picture)
+    return np.concatenate(shown, axis=1)

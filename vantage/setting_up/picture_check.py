@@ -17,7 +17,7 @@ from vantage.setting_up.annotation import Canvas, tag_names
 from vantage.setting_up.verdict import Verdict
 from vantage.tracking.calibration import GREATEST_ARENA_RESIDUAL, Calibration
 from vantage.tracking.overhead_camera import OverheadCamera
-from vantage.tracking.table import Table
+from vantage.tracking.table import TAG_CELLS, Table
 from vantage.tracking.tag_pose import measure_pose, mounted_corners
 from vantage.tracking.tags import FoundTag, TagFinder, distinct
 
@@ -31,8 +31,8 @@ GREATEST_SATURATED: Final = 0.02
 """Share of the arena's pixels."""
 SMALLEST_TAG: Final = 24.0
 """px along the black square: three to each of its cells."""
-BLURRED: Final = 4.0
-"""px that the step from black to white takes at a tag's edge (10 to 90 %)."""
+BLURRED: Final = 0.7
+"""Share of a tag's cell that the step from black to white may take at its edge (10 to 90 %)."""
 LOW_CONTRAST: Final = 60.0
 """Grey levels between a tag's black and white."""
 SCALE_TOLERANCE: Final = 0.025
@@ -142,7 +142,7 @@ def _light(grey: Picture, table: Table, camera: OverheadCamera | None) -> Verdic
 def _tags_seen(found: Sequence[FoundTag], table: Table, robots: bool) -> list[Verdict]:
     seen = Counter(tag.id for tag in found)
     corners = {tag.id: f"{tag.id}" for tag in table.corners}
-    groups = [("corner tags", corners, "lay them flat, whole within the picture, nothing above them")]
+    groups = [("corner tags", corners, "lay them flat, whole within the picture, nothing above them, in focus")]
     if robots:
         named = {tag.id: f"{tag.id} ({robot})" for robot, tag in table.robots.items()}
         boxes = {tag.id: f"{tag.id}" for tag in table.obstacles}
@@ -174,17 +174,18 @@ def _sharpness(grey: Picture, found: Sequence[FoundTag]) -> list[Verdict]:
         f"smallest is {smallest.id}: {smallest.width:.0f} px wide",
         "" if smallest.width >= SMALLEST_TAG else f"at least {SMALLEST_TAG:g} px: hang the camera lower, or print larger tags",
     )
-    measured = [(*edge_width(grey, tag), tag.id) for tag in found]
-    widest, _, blurred = max(measured)
+    measured = [(*edge_width(grey, tag), tag) for tag in found]
+    widest, _, blurred = max(measured, key=lambda row: row[0] / row[2].width)
     _, contrast, pale = min(measured, key=lambda row: row[1])
+    limit = BLURRED * blurred.width / TAG_CELLS
     edges = Verdict(
         "sharpness",
-        f"edges {widest:.1f} px wide at the least sharp tag, {blurred}",
-        "" if widest <= BLURRED else f"blurred (above {BLURRED:g} px): focus the lens and fix it; is the tag still?",
+        f"edges {widest:.1f} px wide at the least sharp tag, {blurred.id}",
+        "" if widest <= limit else f"blurred (above {limit:.1f} px): focus the lens and fix it; is the tag still?",
     )
     levels = Verdict(
         "contrast",
-        f"{contrast:.0f} grey levels at the palest tag, {pale}",
+        f"{contrast:.0f} grey levels at the palest tag, {pale.id}",
         "" if contrast >= LOW_CONTRAST else f"pale (below {LOW_CONTRAST:g}): more even light, matt paper, no reflection on it",
     )
     return [size, edges, levels]

@@ -26,6 +26,8 @@ FARTHEST: Final = 1.0
 FEWEST_POINTS: Final = 2000
 _STRAY: Final = 0.012
 """m from the plane at which a point does not count as floor any more."""
+GREATEST_SPREAD: Final = 0.006
+"""m (RMS) by which a floor may be uneven to a camera."""
 GREATEST_ROLL: Final = math.radians(2.0)
 LARGEST_TILT: Final = math.radians(30.0)
 HEIGHTS: Final = (0.03, 0.30)
@@ -95,10 +97,12 @@ def measure_mount(depth: Depths, calibration: RgbdCalibration) -> Mount:
     residual = (kept @ np.array([slope, -1.0, fall]) + below) / length
     # A camera that looks down by a tilt sees the floor rise in its picture: y grows less with z.
     mount = Mount(below / length, -math.atan(fall), math.atan(slope), float(np.sqrt(np.mean(residual * residual))), len(kept))
-    if not HEIGHTS[0] <= mount.height <= HEIGHTS[1] or abs(mount.tilt) > LARGEST_TILT:
+    likely = HEIGHTS[0] <= mount.height <= HEIGHTS[1] and abs(mount.tilt) <= LARGEST_TILT and mount.spread <= GREATEST_SPREAD
+    if not likely:
         raise TableTrouble(
-            f"what fills the lower third of the picture is no floor (a plane {1000 * mount.height:.0f} mm below the lens, tilted "
-            f"{math.degrees(mount.tilt):.0f}°): put the robot on the table with free floor before it"
+            f"what fills the lower third of the picture is no floor (its plane would be {1000 * mount.height:.0f} mm below the "
+            f"lens, tilted {math.degrees(mount.tilt):.0f}°, {1000 * mount.spread:.0f} mm rough): "
+            "put the robot on the table with free floor before it"
         )
     if abs(mount.roll) > GREATEST_ROLL:
         raise TableTrouble(
@@ -203,14 +207,43 @@ def save_correction(calibration: RgbdCalibration, correction: ColorCorrection, p
 
 
 def _lens(intrinsics: Any) -> Lens:
-    coefficients = [float(value) for value in intrinsics.coeffs]
-    first, second, third, fourth, fifth = (coefficients + [0.0] * 5)[:5]
-    return Lens(
+    coefficients = np.zeros(5)
+    coefficients[: len(intrinsics.coeffs)] = intrinsics.coeffs
+    lens = Lens(
         width=int(intrinsics.width),
         height=int(intrinsics.height),
         fx=float(intrinsics.fx),
         fy=float(intrinsics.fy),
         cx=float(intrinsics.ppx),
         cy=float(intrinsics.ppy),
-        distortion=(first, second, third, fourth, fifth),
     )
+    if "inverse" in str(intrinsics.model):
+        coefficients = forward_distortion(coefficients, lens)
+    first, second, third, fourth, fifth = (float(value) for value in coefficients)
+    return msgspec.structs.replace(lens, distortion=(first, second, third, fourth, fifth))
+
+
+def forward_distortion(inverse: Floats, lens: Lens) -> Floats:
+    """Return OpenCV's coefficients k1, k2, p1, p2, k3 for a lens whose maker gives them for the way back.
+
+    librealsense's "inverse Brown-Conrady" takes a pixel to its ray by the polynomial that OpenCV takes a ray to its pixel by.
+    The coefficients enter linearly, so that least squares over the picture finds them; to half a pixel for real lenses.
+
+    Args:
+        inverse: float64 [5].
+        lens: without distortion.
+    """
+    u, v = np.meshgrid(np.linspace(0, lens.width - 1, 41), np.linspace(0, lens.height - 1, 31))
+    seen = np.column_stack((((u - lens.cx) / lens.fx).ravel(), ((v - lens.cy) / lens.fy).ravel()))  # [n, 2]
+    ray = seen + np.einsum("nij,j->ni", _distortion_terms(seen), inverse)
+    terms = _distortion_terms(ray).reshape(-1, 5)
+    return np.asarray(np.linalg.lstsq(terms, (seen - ray).ravel(), rcond=None)[0], dtype=np.float64)
+
+
+def _distortion_terms(points: Floats) -> Floats:
+    """What each of k1, k2, p1, p2, k3 adds to x and y: float64 [n, 2] -> [n, 2, 5]."""
+    x, y = points[:, 0], points[:, 1]
+    square = x * x + y * y
+    across = (x * square, x * square**2, 2 * x * y, square + 2 * x * x, x * square**3)
+    down = (y * square, y * square**2, square + 2 * y * y, 2 * x * y, y * square**3)
+    return np.stack((np.stack(across, axis=1), np.stack(down, axis=1)), axis=1)
