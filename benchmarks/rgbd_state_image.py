@@ -218,7 +218,7 @@ def variants() -> dict[str, tuple[RgbdCamera, RgbdCalibration]]:
 
     return {
         "no noise, holes or drop-outs": (
-            RgbdCamera(geometry, RgbdLook(noise=0.0, edge_drop_out=0.0, holes=0.0, unevenness=0.0)),
+            RgbdCamera(geometry, RgbdLook(noise=0.0, edge_drop_out=0.0, flying=0.0, holes=0.0, unevenness=0.0)),
             geometry,
         ),
         "level": with_geometry(tilt=0.0),

@@ -29,7 +29,7 @@ from vantage.tracking.rgbd_kernels import BLOCK, HIDDEN, surface_band
 from vantage.tracking.rgbd_lens import Lens, lens_of, pixel_rays, project
 from vantage.world.arena import SEEKER_COLOR
 
-EXACT = RgbdLook(noise=0.0, edge_drop_out=0.0, holes=0.0, unevenness=0.0)
+EXACT = RgbdLook(noise=0.0, edge_drop_out=0.0, flying=0.0, holes=0.0, unevenness=0.0)
 NO_BOXES = np.zeros((0, 7))
 
 

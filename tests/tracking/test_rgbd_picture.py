@@ -16,7 +16,7 @@ from vantage.world.camera import DEPTH_SIGMA_AT_ZERO, DEPTH_SIGMA_PER_SQUARE_MET
 from vantage.world.layout import boxes_array, make_layout
 from vantage.world.rays import BOX_STRIDE, cast_picture
 
-EXACT = RgbdLook(noise=0.0, edge_drop_out=0.0, holes=0.0, unevenness=0.0)
+EXACT = RgbdLook(noise=0.0, edge_drop_out=0.0, flying=0.0, holes=0.0, unevenness=0.0)
 LEVEL = RgbdCalibration(depth=lens_of(320, 240, math.radians(86.0)), color=lens_of(320, 240, math.radians(86.0)))
 NO_BOXES = np.zeros((0, 7))
 
@@ -71,7 +71,7 @@ def test_a_tilted_camera_sees_the_floor_where_trigonometry_puts_it() -> None:
 
 
 def test_noise_grows_with_range_and_is_as_large_as_said() -> None:
-    camera = RgbdCamera(LEVEL, RgbdLook(holes=0.0, edge_drop_out=0.0))
+    camera = RgbdCamera(LEVEL, RgbdLook(holes=0.0, edge_drop_out=0.0, flying=0.0))
     for x in (0.9, 0.2):
         exact = 1000.0 * (1.2 - x)
         errors = []
@@ -87,7 +87,7 @@ def test_noise_grows_with_range_and_is_as_large_as_said() -> None:
 def test_holes_and_drop_outs_take_the_share_they_are_said_to() -> None:
     pose, other = (0.2, 0.6, 0.0), (0.6, 0.6)
     whole = render_rgbd(RgbdCamera(LEVEL, EXACT), NO_BOXES, pose, other, 0, 1, 0, 0)[0]
-    look = RgbdLook(noise=0.0, edge_drop_out=0.0, holes=0.05)
+    look = RgbdLook(noise=0.0, edge_drop_out=0.0, flying=0.0, holes=0.05)
     shares = [
         np.mean(render_rgbd(RgbdCamera(LEVEL, look), NO_BOXES, pose, other, 0, 1, n, 0)[0][whole > 0] == 0) for n in range(8)
     ]
@@ -104,8 +104,20 @@ def test_holes_and_drop_outs_take_the_share_they_are_said_to() -> None:
     assert np.mean(dropped[robot] == (beside[robot] & (whole[robot] > 0))) > 0.995
 
 
+def test_flying_pixels_lie_between_two_surfaces_beside_an_edge() -> None:
+    pose, other = (0.2, 0.6, 0.0), (0.6, 0.6)
+    whole = render_rgbd(RgbdCamera(LEVEL, EXACT), NO_BOXES, pose, other, 0, 1, 0, 0)[0]
+    look = RgbdLook(noise=0.0, edge_drop_out=0.0, flying=0.5, holes=0.0)
+    depth = render_rgbd(RgbdCamera(LEVEL, look), NO_BOXES, pose, other, 0, 1, 0, 0)[0]
+    rows = slice(105, 130)  # where the robot's sides stand before the wall: two edges, two pixels each
+    strange = depth[rows] != whole[rows]
+    assert 0.35 < np.count_nonzero(strange) / (4 * 25) < 0.65
+    values = depth[rows][strange]
+    assert np.all((values >= 335) & (values <= 1000)) and np.ptp(values) > 400
+
+
 def test_a_stereo_shadow_lies_to_the_left_of_what_is_near() -> None:
-    look = RgbdLook(noise=0.0, edge_drop_out=0.0, holes=0.0, stereo_baseline=0.05)
+    look = RgbdLook(noise=0.0, edge_drop_out=0.0, flying=0.0, holes=0.0, stereo_baseline=0.05)
     depth, _ = render_rgbd(RgbdCamera(LEVEL, look), NO_BOXES, (0.2, 0.6, 0.0), (0.6, 0.6), 0, 1, 0, 0)
     row = depth[120]
     columns = np.flatnonzero((row > 300) & (row < 420))
@@ -134,7 +146,14 @@ def test_pictures_depend_on_the_counters_only() -> None:
 
 
 def test_absurd_looks_and_mounts_are_refused() -> None:
-    for look in ({"noise": -1.0}, {"edge_drop_out": 2.0}, {"holes": math.nan}, {"brightness": -1.0}, {"unevenness": 1.5}):
+    for look in (
+        {"noise": -1.0},
+        {"edge_drop_out": 2.0},
+        {"flying": -0.1},
+        {"holes": math.nan},
+        {"brightness": -1.0},
+        {"unevenness": 1.5},
+    ):
         with pytest.raises(ValueError, match="must be"):
             RgbdLook(**look)
     upwards = msgspec.structs.replace(default_rgbd(), tilt=-0.8, depth=lens_of(640, 480, math.radians(120.0)))

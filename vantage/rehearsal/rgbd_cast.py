@@ -190,6 +190,7 @@ def expose_depth(
     unit: float,
     noise: float,
     edge_drop_out: float,
+    flying: float,
     holes: float,
     stereo_shift: float,
     seed: int,
@@ -198,7 +199,7 @@ def expose_depth(
     block_noise: Floats32,  # [>= H / BLOCK + 1, >= W / BLOCK + 1], scratch
     depth_out: Depths,  # [H, W]
 ) -> None:
-    """Depth as the sensor gives it: noise, quantisation, drop-outs at edges, stereo shadows, blotches without return.
+    """Depth as the sensor gives it: noise, quantisation; at edges drop-outs and flying pixels; stereo shadows; blotches.
 
     `stereo_shift`: focal length times baseline of the stereo pair, px m; what its second imager, to the right, does not see
     has no depth. 0 = no such shadow.
@@ -210,6 +211,7 @@ def expose_depth(
             block_noise[block_v, block_u] = np.float32(_HALF * gaussian_of(mix(key + np.uint64(block_u) * _ODD)))
     key = key_of(seed, DEPTH_STREAM, robot_index, frame)
     threshold = np.int64(65536.0 * edge_drop_out)
+    flying_threshold = np.int64(65536.0 * flying)
     per_unit = 1.0 / unit
     for v in range(rows):
         block_v = v // BLOCK
@@ -229,18 +231,23 @@ def expose_depth(
                 leftmost = min(leftmost, place)
             bits = mix(key + np.uint64(v * columns + u) * _ODD)
             surface = surfaces[v, u]
-            edge = False
-            if u > 0 and surfaces[v, u - 1] != surface:
-                edge = abs(ahead[v, u - 1] - z_ahead) > EDGE_JUMP
-            if u + 1 < columns and surfaces[v, u + 1] != surface:
-                edge = edge or abs(ahead[v, u + 1] - z_ahead) > EDGE_JUMP
-            if v > 0 and surfaces[v - 1, u] != surface:
-                edge = edge or abs(ahead[v - 1, u] - z_ahead) > EDGE_JUMP
-            if v + 1 < rows and surfaces[v + 1, u] != surface:
-                edge = edge or abs(ahead[v + 1, u] - z_ahead) > EDGE_JUMP
-            if edge and np.int64(mix(bits) & np.uint64(0xFFFF)) < threshold:
-                depth_out[v, u] = 0
-                continue
+            beside = z_ahead
+            if u > 0 and surfaces[v, u - 1] != surface and abs(ahead[v, u - 1] - z_ahead) > EDGE_JUMP:
+                beside = ahead[v, u - 1]
+            elif u + 1 < columns and surfaces[v, u + 1] != surface and abs(ahead[v, u + 1] - z_ahead) > EDGE_JUMP:
+                beside = ahead[v, u + 1]
+            elif v > 0 and surfaces[v - 1, u] != surface and abs(ahead[v - 1, u] - z_ahead) > EDGE_JUMP:
+                beside = ahead[v - 1, u]
+            elif v + 1 < rows and surfaces[v + 1, u] != surface and abs(ahead[v + 1, u] - z_ahead) > EDGE_JUMP:
+                beside = ahead[v + 1, u]
+            if beside != z_ahead:
+                more = mix(bits)
+                if np.int64(more & np.uint64(0xFFFF)) < threshold:
+                    depth_out[v, u] = 0
+                    continue
+                if beside > 0.0 and np.int64((more >> np.uint64(16)) & np.uint64(0xFFFF)) < flying_threshold:
+                    part = np.float64((more >> np.uint64(32)) & np.uint64(0xFFFF)) / 65536.0
+                    z += part * (float(beside) * per_ahead[v, u] - z)
             sigma = noise * (DEPTH_SIGMA_AT_ZERO + DEPTH_SIGMA_PER_SQUARE_METRE * z * z)
             error = sigma * (_HALF * gaussian_of(bits) + block_noise[block_v, u // BLOCK])
             depth_out[v, u] = np.uint16(min(max((z + error) * per_unit + 0.5, 1.0), 65535.0))

@@ -26,6 +26,8 @@ class RgbdLook:
     """scales the standard deviation of depth (1.5 mm + 2 mm (z / 1 m)^2) and colour (3)"""
     edge_drop_out: float = 0.5
     """probability of a hole beside an edge"""
+    flying: float = 0.3
+    """probability of a depth anywhere between the two surfaces, beside an edge where there is no hole"""
     holes: float = 0.01
     """share of the depth picture in blotches without return"""
     red_gain: float = 1.0
@@ -38,10 +40,9 @@ class RgbdLook:
     """m between the imagers of a stereo depth camera: beside a near thing, what only one sees has no depth; 0 = no stereo"""
 
     def __post_init__(self) -> None:
-        if not (
-            self.noise >= 0.0 and 0.0 <= self.edge_drop_out <= 1.0 and 0.0 <= self.holes <= 0.5 and self.stereo_baseline >= 0.0
-        ):
-            raise ValueError("noise must be 0 or more, edge_drop_out in 0..1, holes in 0..0.5, stereo_baseline 0 or more")
+        chances = (self.edge_drop_out, self.flying, 2.0 * self.holes)
+        if not (all(0.0 <= chance <= 1.0 for chance in chances) and self.noise >= 0.0 and self.stereo_baseline >= 0.0):
+            raise ValueError("edge_drop_out and flying must be in 0..1, holes in 0..0.5, noise and stereo_baseline 0 or more")
         if min(self.red_gain, self.green_gain, self.blue_gain, self.brightness) < 0.0 or not 0.0 <= self.unevenness <= 1.0:
             raise ValueError("gains and brightness must be 0 or more, unevenness in 0..1")
 
@@ -94,6 +95,7 @@ def render_rgbd(
         unit,
         float(look.noise),
         float(look.edge_drop_out),
+        float(look.flying),
         float(look.holes),
         float(look.stereo_baseline * camera.geometry.depth.fx),
         *counters,
