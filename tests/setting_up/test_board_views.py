@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from itertools import count
 
 import cv2
 import numpy as np
@@ -11,6 +13,8 @@ import pytest
 from tests.setting_up.table_scene import board_pictures, true_lens
 from vantage.rehearsal.board_picture import BoardScene
 from vantage.setting_up.board_views import TILTED, TILTED_VIEWS, WANTED_VIEWS, BoardViews, coverage_picture
+from vantage.setting_up.calibrating import gather_views
+from vantage.setting_up.pictures import Source, View
 
 
 def held(across: float, up: float, aim: tuple[float, float] = (0.0, 0.0), away: float = 0.45) -> np.ndarray:
@@ -66,6 +70,35 @@ def test_the_same_view_is_not_taken_twice_and_another_size_is_refused() -> None:
     assert views.offer("again", picture) == "it shows what a picture before it shows"
     assert "640 x 360 pixels, those before 1280 x 720" in views.offer("small", np.ascontiguousarray(picture[::2, ::2]))
     assert len(views.views) == 1
+
+
+def test_a_camera_is_looked_at_until_its_time_is_over() -> None:
+    board = board_pictures()
+
+    def camera() -> Iterator[View]:
+        for number in count():
+            yield View(f"picture {number}", board[number % len(board)], 0.5 * number)
+
+    looked: list[int] = []
+    source = Source("camera 0", live=True, count=None, views=camera())
+    views, refused = gather_views(source, 3.0, lambda _, number: looked.append(number))
+    assert looked == [1, 2, 3, 4, 5, 6, 7, 8]
+    assert refused == [], "of a camera not every picture that shows nothing new is named"
+    assert 0 < len(views.views) <= 8
+
+
+def test_a_camera_is_left_when_nothing_is_missing() -> None:
+    board = board_pictures()
+    endless = (View(f"picture {number}", board[number % 3], 0.01 * number) for number in count())
+    seen: list[int] = []
+
+    class Content(BoardViews):
+        def missing(self) -> list[str]:
+            return [] if len(self.views) == 2 else super().missing()
+
+    views, _ = gather_views(Source("camera 0", True, None, endless), 60.0, lambda _, number: seen.append(number), Content())
+    assert len(views.views) == 2
+    assert len(seen) < 5
 
 
 def test_places_are_ticked_off_where_the_board_was() -> None:

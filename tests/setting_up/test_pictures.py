@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
+from vantage.setting_up import pictures
 from vantage.setting_up.pictures import open_source, read_picture, require_size, write_picture
 from vantage.setting_up.trouble import TableTrouble
 
@@ -38,6 +39,22 @@ def test_a_video_is_read_to_its_end(tmp_path: Path) -> None:
     with open_source(str(tmp_path / "v.avi"), 640, 480) as source:
         levels = [int(view.picture.mean()) for view in source.views]
     assert levels == pytest.approx([20, 120, 220], abs=4)
+
+
+def test_a_camera_that_stops_giving_pictures_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A recording stands for the camera: its end is what an unplugged camera looks like."""
+    writer = cv2.VideoWriter(str(tmp_path / "v.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10.0, (64, 48))
+    for _ in range(3):
+        writer.write(np.full((48, 64, 3), 100, np.uint8))
+    writer.release()
+    monkeypatch.setattr(pictures, "_WARMING_UP", 0.0)
+    capture = cv2.VideoCapture(str(tmp_path / "v.avi"))
+    views = pictures._captured(capture, "camera 3", live=True)
+    times = [next(views).seconds for _ in range(3)]
+    assert times == sorted(times)
+    with pytest.raises(TableTrouble, match="camera 3 gave no picture after 3: unplugged"):
+        next(views)
+    capture.release()
 
 
 @pytest.mark.parametrize(

@@ -24,16 +24,19 @@ MOST_VIEWS: Final = 60
 _LARGEST_FILE: Final = 100_000
 
 
-def gather_views(source: Source, seconds: float, tell: Tell) -> tuple[BoardViews, list[tuple[str, str]]]:
+def gather_views(
+    source: Source, seconds: float, tell: Tell, views: BoardViews | None = None
+) -> tuple[BoardViews, list[tuple[str, str]]]:
     """Look at pictures of the board until nothing is missing, the source ends, or a camera's time is over.
 
     Args:
         seconds: of a camera at most.
+        views: to add to; default none yet.
 
     Returns:
         The views, and the names of pictures set aside with the reason (of a folder; a camera's and a video's are many).
     """
-    views = BoardViews()
+    views = views or BoardViews()
     refused: list[tuple[str, str]] = []
     named = not source.live and source.count is not None
     for looked, view in enumerate(source.views, 1):

@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from schemas import ROBOTS
-from vantage.deployment import Deployment
+from vantage.deployment import Deployment, configuration_of
 from vantage.setting_up.calibrating import today
 from vantage.setting_up.listening import judge_heard, listen
 from vantage.setting_up.picture_check import check_picture
@@ -25,10 +25,12 @@ def check_table(settings: Check) -> list[Verdict]:
     """Check what the settings name; annotated pictures are written into their folder.
 
     Raises:
-        DeploymentError: the deployment is not up.
+        DeploymentError: there is no such deployment, or it is not up.
         TableTrouble, UnusableTable: source or table cannot be used.
     """
     name = settings.deployment or ("" if settings.source else "hardware")
+    if name:
+        configuration_of(name)  # a misspelt name is not a deployment that is down
     deployment = Deployment(name, settings.folder) if name else None
     folders = [Path(), *([deployment.folder] if deployment else [])]
     table_file = settings.table or _first("table.json", folders)
