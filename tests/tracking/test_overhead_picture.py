@@ -78,12 +78,14 @@ def test_colors_are_those_of_a_march_down_every_ray() -> None:
 def test_patches_make_the_same_picture_as_rendering_all_of_it() -> None:
     """Robots that stand in the background layer of a scene of its own would look just so: compare with a far larger patch."""
     small = scene()
-    robots = np.array([[0.33, 0.72, 0.4], [0.45, 0.70, 1.0]])  # beside a box and each other
     speeds = np.array([[0.2, 0.0, 1.0], [0.0, -0.1, 0.0]])
     whole = OverheadScene(small.table, rehearsal_camera(), small.look)
-    whole._patches = lambda robots, speeds: [(0, 0, 1280, 720)]  # type: ignore[method-assign]
-    difference = np.abs(small.render(robots, LAB, 5, 9, speeds).astype(int) - whole.render(robots, LAB, 5, 9, speeds))
-    assert difference.max() <= 1
+    whole._patches = lambda robots, speeds: [((0, 0, 1280, 720), [0, 1])]  # type: ignore[method-assign]
+    for robots in (
+        np.array([[0.33, 0.72, 0.4], [0.45, 0.70, 1.0]]),  # beside a box and each other
+        np.array([[0.60, 1.14, 0.7], [0.20, 0.20, 1.0]]),  # at the picture's upper edge; in the open
+    ):
+        assert np.array_equal(small.render(robots, LAB, 5, 9, speeds), whole.render(robots, LAB, 5, 9, speeds))
 
 
 def test_tags_are_found_where_they_truly_are_without_bias() -> None:

@@ -41,6 +41,11 @@ class OverheadLook:
     wall_height: float = WALL_HEIGHT
     """m; 0 = no walls"""
 
+    @property
+    def blur_reach(self) -> int:
+        """How far the lens's blur carries light, px (half of OpenCV's kernel, rounded up)."""
+        return math.ceil(4 * self.blur) + 1
+
 
 class Development:
     """Turns sharp, evenly lit pictures of one size into what a camera gives.
@@ -61,10 +66,12 @@ class Development:
         left, top, right, bottom = window
         if self._look.blur > 0:
             patch = cv2.GaussianBlur(patch, (0, 0), self._look.blur, borderType=cv2.BORDER_REPLICATE)
-        # The blur at the patch's rim lacks its surroundings: the rim stays as it was.
-        rim = math.ceil(3 * self._look.blur) if (right - left, bottom - top) != (self.width, self.height) else 0
-        inner = (slice(rim, bottom - top - rim), slice(rim, right - left - rim))
-        place = (slice(top + rim, bottom - rim), slice(left + rim, right - rim))
+        # The blur at the patch's rim lacks its surroundings: the rim stays as it was, but for the picture's own edges.
+        rim = self._look.blur_reach
+        low = (0 if top == 0 else rim, 0 if left == 0 else rim)
+        high = (bottom - top - (0 if bottom == self.height else rim), right - left - (0 if right == self.width else rim))
+        inner = (slice(low[0], high[0]), slice(low[1], high[1]))
+        place = (slice(top + low[0], top + high[0]), slice(left + low[1], left + high[1]))
         light[place] = np.clip((patch[inner] * self._gain[place] + self._veil[place]) * 16 + 0.5, 0, 32000)
 
     def read_out(self, light: npt.NDArray[np.int16], seed: int, frame: int) -> Picture:

@@ -178,8 +178,8 @@ class OverheadScene:
         background = self._background(boxes)
         light = background.light.copy()
         moments = self._moments(robots, speeds)
-        for left, top, right, bottom in self._patches(robots, speeds):
-            margin = math.ceil(3 * self.look.blur) + 1
+        for (left, top, right, bottom), members in self._patches(robots, speeds):
+            margin = 2 * self.look.blur_reach
             outer = self._clipped(left - margin, top - margin, right + margin, bottom + margin)
             if outer[2] <= outer[0] or outer[3] <= outer[1]:
                 continue
@@ -187,7 +187,9 @@ class OverheadScene:
             inner = self._clipped(left, top, right, bottom)
             if inner[2] > inner[0] and inner[3] > inner[1]:
                 into = patch[inner[1] - outer[1] : inner[3] - outer[1], inner[0] - outer[0] : inner[2] - outer[0]]
-                self._expose(inner, background, moments, speeds is not None, into)
+                here = np.full_like(moments, np.nan)
+                here[:, members] = moments[:, members]
+                self._expose(inner, background, here, speeds is not None, into)
             self._development.develop(patch, outer, light)
         return self._development.read_out(light, seed, frame)
 
@@ -296,9 +298,9 @@ class OverheadScene:
         moved = robots[None] + times[:, None, None] * (np.zeros((1, 2, 3)) if speeds is None else speeds[None])
         return np.concatenate((moved[..., :2], np.cos(moved[..., 2:]), np.sin(moved[..., 2:])), axis=-1)
 
-    def _patches(self, robots: Floats, speeds: Floats | None) -> list[tuple[int, int, int, int]]:
-        """Windows that hold the robots; one for both where they touch."""
-        windows: list[tuple[int, int, int, int]] = []
+    def _patches(self, robots: Floats, speeds: Floats | None) -> list[tuple[tuple[int, int, int, int], list[int]]]:
+        """Windows and the robots in them; one for both where they touch."""
+        windows: list[tuple[tuple[int, int, int, int], list[int]]] = []
         around = np.arange(16) * math.tau / 16
         for index in range(len(ROBOTS)):
             if math.isnan(robots[index, 0]):
@@ -309,19 +311,14 @@ class OverheadScene:
             ring = robots[index, :2] + radius * np.column_stack((np.cos(around), np.sin(around)))
             pixels = np.concatenate([self._project(ring, height) for height in (0.0, body[1], body[7])])
             low, high = np.floor(pixels.min(axis=0)).astype(int) - 1, np.ceil(pixels.max(axis=0)).astype(int) + 2
-            windows.append((int(low[0]), int(low[1]), int(high[0]), int(high[1])))
+            windows.append(((int(low[0]), int(low[1]), int(high[0]), int(high[1])), [index]))
         if len(windows) == 2:
-            first, second = windows
-            gap = 8 * self.look.blur + 4
-            apart = (
-                first[2] + gap < second[0]
-                or second[2] + gap < first[0]
-                or first[3] + gap < second[1]
-                or second[3] + gap < first[1]
-            )
+            (first, _), (second, _) = windows
+            gap = 4 * self.look.blur_reach
+            apart = any(one[i + 2] + gap < other[i] for one, other in ((first, second), (second, first)) for i in range(2))
             if not apart:
                 low = (min(first[0], second[0]), min(first[1], second[1]))
-                return [(*low, max(first[2], second[2]), max(first[3], second[3]))]
+                return [((*low, max(first[2], second[2]), max(first[3], second[3])), [0, 1])]
         return windows
 
     def _clipped(self, left: int, top: int, right: int, bottom: int) -> tuple[int, int, int, int]:

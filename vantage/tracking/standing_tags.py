@@ -27,11 +27,13 @@ class StandingTag:
     Attributes:
         held: x, y, heading float64 [3] of what carries it; None until it was seen often enough.
         last_seen: stamp of the last picture in which it was seen, ns; None before.
+        settled: whether there is no need to look often: the last looks agree with what is held.
     """
 
     def __init__(self) -> None:
         self.held: Floats | None = None
         self.last_seen: int | None = None
+        self.settled = False
         self._looks: deque[Floats] = deque(maxlen=_REMEMBERED)
 
     @property
@@ -39,26 +41,21 @@ class StandingTag:
         """The last pose seen, float64 [3]."""
         return self._looks[-1] if self._looks else None
 
-    @property
-    def settled(self) -> bool:
-        """Whether there is no need to look often: the last looks agree with what is held."""
-        return self.held is not None and not any(differs(look, self.held) for look in self._looks)
-
     def see(self, pose: Floats, stamp: int) -> None:
         """Take one look at it: pose float64 [3], stamp in ns."""
         if self.latest is not None and differs(pose, self.latest):
             self._looks.clear()
         self._looks.append(pose)
         self.last_seen = stamp
-        if len(self._looks) < ENOUGH:
-            return
-        mean = _mean(self._looks)
-        if self.held is None or differs(mean, self.held):
-            self.held = mean
+        if len(self._looks) >= ENOUGH:
+            mean = _mean(self._looks)
+            if self.held is None or differs(mean, self.held):
+                self.held = mean
+        self.settled = self.held is not None and not any(differs(look, self.held) for look in self._looks)
 
     def forget(self) -> None:
         """It is gone."""
-        self.held = None
+        self.held, self.settled = None, False
         self._looks.clear()
 
 
