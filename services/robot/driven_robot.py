@@ -39,7 +39,7 @@ class DrivenRobot:
     def halt(self, now: int) -> list[Send]:
         """End the motion unreported and stop the wheels."""
         self.control.cancel()
-        return [self.link.stop(now)]
+        return [self._send(0.0, 0.0, now)]
 
     def see(self, track: Track, now: int) -> None:
         """Take a tracked pose."""
@@ -63,11 +63,11 @@ class DrivenRobot:
         if ended is not None:
             return sends, ended
         if not self.control.busy:
-            return [self.link.stop(now)], None
+            return [self._send(0.0, 0.0, now)], None
         outcome = self.control.step(now)
         if isinstance(outcome, Ended):
-            return [self.link.stop(now)], outcome
-        return [self.link.set_speeds(*outcome, now)], None
+            return [self._send(0.0, 0.0, now)], outcome
+        return [self._send(*outcome, now)], None
 
     def clear(self, now: int) -> list[Send]:
         """Clear a latched emergency stop whose button is released."""
@@ -81,6 +81,11 @@ class DrivenRobot:
             return f"robot {self.link.robot}: battery at {battery:.1f} V, charge it"
         return trouble
 
+    def _send(self, left: float, right: float, now: int) -> Send:
+        line = self.link.set_speeds(left, right, now) if self.control.busy else self.link.stop(now)
+        self.control.told(self.link.sequence, left, right, now)
+        return line
+
     def _fail_if_helpless(self, now: int) -> tuple[list[Send], Ended | None]:
         """End a motion that nobody can carry out: no line to the robot, or an emergency stop."""
         reason = self.link.trouble(now)
@@ -88,4 +93,4 @@ class DrivenRobot:
             return [], None
         self.control.fail("stopped", reason, now)
         outcome = self.control.step(now)
-        return [self.link.stop(now)], outcome if isinstance(outcome, Ended) else None
+        return [self._send(0.0, 0.0, now)], outcome if isinstance(outcome, Ended) else None

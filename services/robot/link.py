@@ -30,9 +30,11 @@ CLOCK_DRIFT = 1e-4
 
 
 class Measurement(NamedTuple):
-    """When (ns, our clock) the robot measured, and by how many ticks each wheel had turned since the last time."""
+    """When (ns, our clock) the robot measured, which of our lines it had taken by then, and by how many ticks each wheel
+    had turned since the last time."""
 
     stamp: int
+    taken: int
     left: int
     right: int
 
@@ -62,6 +64,11 @@ class Link:
         self._sent_since_telemetry = 0
         self._offset: int | None = None  # our clock minus the robot's, ns
         self.last_sent: int | None = None
+
+    @property
+    def sequence(self) -> int:
+        """Number of the last line sent."""
+        return (self._sequence - 1) % SEQUENCES
 
     @property
     def damaged(self) -> int:
@@ -152,12 +159,12 @@ class Link:
         if last is None or line.milliseconds < last.milliseconds:
             # The first, or the robot was switched on again and counts from the start.
             self._offset = now - 1_000_000 * line.milliseconds
-            return Measurement(now, 0, 0)
+            return Measurement(now, line.taken, 0, 0)
         # Lines come late by different times: the earliest tells most of the robot's clock.
         patient = (self._offset or 0) + int(CLOCK_DRIFT * (now - since))
         self._offset = min(patient, now - 1_000_000 * line.milliseconds)
         stamp = min(self._offset + 1_000_000 * line.milliseconds, now)
-        return Measurement(stamp, _difference(line.left, last.left), _difference(line.right, last.right))
+        return Measurement(stamp, line.taken, _difference(line.left, last.left), _difference(line.right, last.right))
 
 
 def _difference(ticks: int, before: int) -> int:

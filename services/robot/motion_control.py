@@ -136,10 +136,14 @@ class MotionControl:
 
     def measure(self, measurement: Measurement) -> None:
         """Take what the encoders counted."""
-        stamp, left, right = measurement
+        stamp, taken, left, right = measurement
         self.estimate.measure(stamp - self._latency, left, right)
         per_tick = self._wheels.metres_per_tick
-        self._model.measure(stamp, left * per_tick, right * per_tick)
+        self._model.measure(stamp, taken, left * per_tick, right * per_tick)
+
+    def told(self, sequence: int, left: float, right: float, now: int) -> None:
+        """Take note of the speeds (m/s) that the line of this number has sent."""
+        self._model.tell(sequence, left, right, now)
 
     def see(self, track: Track, now: int) -> None:
         """Take a tracked pose; finds out whether the robot is stuck."""
@@ -162,7 +166,7 @@ class MotionControl:
     def step(self, now: int) -> tuple[float, float] | Ended:
         """Return speeds of the left and right wheel, m/s, or how the motion ended. Call it about every 20 ms."""
         if self._phase is _Phase.IDLE:
-            return self._tell(now, 0.0, 0.0)
+            return 0.0, 0.0
         place = self.estimate.place
         seen = self.estimate.seen
         unseen = now - max(self._begun, seen or 0)
@@ -172,7 +176,7 @@ class MotionControl:
             if unseen > self._control.lost * SECOND:
                 self.fail("lost", f"not seen by the overhead camera for {unseen / SECOND:.1f} s", now)
             self._stepped = now
-            return self._tell(now, 0.0, 0.0)
+            return 0.0, 0.0
         self._stepped = now
         if self._phase is not _Phase.ENDING and now >= self._deadline:
             self.fail("timed-out", f"not there within {self._target.patience:g} s", now)
@@ -188,7 +192,7 @@ class MotionControl:
             settled = self._settled()
             if settled is not None:
                 return settled
-        return self._tell(now, *self._wheel_speeds(ahead, turn))
+        return self._wheel_speeds(ahead, turn)
 
     def _steer(self, place: Place) -> tuple[float, float]:
         """Return speed (m/s) and turn rate (rad/s) for where the robot comes to rest, and turn to the next phase."""
@@ -222,7 +226,7 @@ class MotionControl:
         """Judge a robot that should stand still: done, or what is left must be corrected."""
         estimate, control, target = self.estimate, self._control, self._target
         place = estimate.place
-        if estimate.rest is None or place is None:
+        if estimate.rest is None or place is None or not self._model.told_to_rest:
             return None
         ahead, beside = _in_robot_frame(place, target)
         _, turn = _errors(place, target)
@@ -238,9 +242,10 @@ class MotionControl:
 
     def _end(self, now: int) -> tuple[float, float] | Ended:
         """Wait until a robot that failed rests and is seen; then say how it ended: there after all, or not."""
-        rested = self.estimate.rest is not None and self.estimate.frames_at_rest >= self._control.frames
+        resting = self.estimate.rest is not None and self._model.told_to_rest
+        rested = resting and self.estimate.frames_at_rest >= self._control.frames
         if not rested and now < self._deadline and self._pending in ("stuck", "timed-out"):
-            return self._tell(now, 0.0, 0.0)
+            return 0.0, 0.0
         place = self.estimate.place
         if rested and place is not None and self._pending in ("stuck", "timed-out") and self._target.precise:
             distance, turn = _errors(place, self._target)
@@ -259,12 +264,7 @@ class MotionControl:
         beside = min(max(0.5 * self._wheels.axle_track * turn, -self._speed), self._speed)
         most = self._speed - abs(beside)
         ahead = min(max(ahead, -most), most)
-        return ahead - beside, ahead + beside
-
-    def _tell(self, now: int, left: float, right: float) -> tuple[float, float]:
-        left, right = round(left, 3), round(right, 3)  # as the line carries them
-        self._model.tell(now, left, right)
-        return left, right
+        return round(ahead - beside, 3), round(ahead + beside, 3)  # as the line carries them
 
 
 def _in_robot_frame(place: Place, target: Target) -> tuple[float, float]:

@@ -33,15 +33,15 @@ STAMP = STARTED + 12_345_678_900
 EXCHANGE: tuple[tuple[str, Line], ...] = (
     ("driver", Query(0)),
     ("robot", Acknowledgement(0, 0)),
-    ("robot", Telemetry(17, 340, 0, 0, 8310, 0)),
+    ("robot", Telemetry(17, 340, 0, 0, 0, 8310, 0)),
     ("driver", SetSpeeds(1, 150, 150)),
     ("robot", Acknowledgement(1, 0)),
-    ("robot", Telemetry(18, 360, 23, 22, 8308, 0)),
+    ("robot", Telemetry(18, 360, 1, 23, 22, 8308, 0)),
     ("driver", SetSpeeds(2, -20, 35)),
     ("driver", Stop(3)),
     ("driver", EmergencyStop(4)),
     ("robot", Acknowledgement(4, EMERGENCY_STOP)),
-    ("robot", Telemetry(19, 380, 61, 70, 8305, EMERGENCY_STOP | BUTTON)),
+    ("robot", Telemetry(19, 380, 4, 61, 70, 8305, EMERGENCY_STOP | BUTTON)),
     ("driver", ClearEmergencyStop(5)),
 )
 

@@ -19,7 +19,7 @@ TELEMETRY_RATE = 50.0
 """Telemetry lines a second."""
 SEQUENCES = 65_536
 """Sequence numbers count modulo this."""
-LONGEST = 64
+LONGEST = 80
 """Bytes of a line at most, with its end."""
 SPEED_LIMIT = 2000
 """mm/s of a wheel at most."""
@@ -101,6 +101,7 @@ class Telemetry:
 
     Attributes:
         milliseconds: robot's clock at the measurement, modulo 2**32.
+        taken: sequence number of the last line it took before that.
         left, right: encoder ticks since it was switched on, forwards positive, two's complement of 32 bits.
         battery: mV.
         flags: EMERGENCY_STOP | LOW_BATTERY | WATCHDOG_STOP | BUTTON.
@@ -110,6 +111,7 @@ class Telemetry:
     ranges: ClassVar[tuple[tuple[int, int], ...]] = (
         (0, SEQUENCES - 1),
         (0, 2**32 - 1),
+        (0, SEQUENCES - 1),
         (-(2**31), 2**31 - 1),
         (-(2**31), 2**31 - 1),
         (0, 65_535),
@@ -117,6 +119,7 @@ class Telemetry:
     )
     sequence: int
     milliseconds: int
+    taken: int
     left: int
     right: int
     battery: int

@@ -87,6 +87,7 @@ class Firmware:
         self._now = self._heard = self._next_telemetry = 0
         self._speeds = (0.0, 0.0)
         self._flags = 0
+        self._taken = 0
         self._sequence = 0
 
     @property
@@ -154,6 +155,7 @@ class Firmware:
         if not isinstance(line, Query):
             self._heard = now
             self._flags &= ~WATCHDOG_STOP
+        self._taken = line.sequence
         self._say(Acknowledgement(line.sequence, self.flags), now)
 
     def _measure(self, now: int) -> None:
@@ -163,7 +165,7 @@ class Firmware:
         )
         milliseconds = (now - (self._started or 0)) // 1_000_000 % 2**32
         battery = max(0, round(1000.0 * self.battery))
-        self._say(Telemetry(self._sequence, milliseconds, left, right, battery, self.flags), now)
+        self._say(Telemetry(self._sequence, milliseconds, self._taken, left, right, battery, self.flags), now)
         self._sequence = (self._sequence + 1) % SEQUENCES
 
     def _say(self, line: FromRobot, now: int) -> None:
