@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gc
+import threading
 
 import pytest
 from bus_network import Network
@@ -378,6 +379,16 @@ def test_wake_interrupts_receive(network: Network) -> None:
     reader = network.session("reader")
     reader.wake()
     assert reader.receive(30.0) is None
+
+
+def test_what_is_posted_stands_in_line_with_the_bus(network: Network) -> None:
+    """From any thread, whatever it is, each once and in order."""
+    bus = network.session("reader")
+    posted = [("frame", number) for number in range(50)]
+    thread = threading.Thread(target=lambda: [bus.post(event) for event in posted])
+    thread.start()
+    thread.join()
+    assert network.collect(bus, lambda events: len(events) >= len(posted)) == posted
 
 
 def test_closed_session_says_so(network: Network) -> None:

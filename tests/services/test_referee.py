@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from schemas import Command, Control, Episode, Pose, Rules, Tick
+from schemas import Command, Control, Episode, Health, Layout, Pose, Rules, Tick
 from services.referee.core import RefereeCore, RefereeSettings
 from vantage.service import SECOND, Arrived, Changed, Publish, Send, Unexpected, Woken
 
@@ -204,3 +204,54 @@ def test_strangers_messages_are_set_aside() -> None:
             table.command(robot, 0, episode=9)
         with pytest.raises(Unexpected):
             table.command(robot, 5)
+
+
+def test_one_of_two_services_embodies_the_robots() -> None:
+    for world in ("simulator", "tracker"):
+        core = RefereeCore(RefereeSettings(autoplay=True, required=("simulator|tracker", "seeker"), settle=0.0))
+        assert core.step(Woken(), 0) == () and core.step(Woken(), 0) == []
+        assert messages(core.step(Changed("seeker", True), 0)) == []
+        (setup,) = messages(core.step(Changed(world, True), 0))
+        assert isinstance(setup, Episode)
+
+
+def test_a_layout_renews_the_patience_of_the_set_up() -> None:
+    """Robots may need longer than any fixed time to drive to their starts; a world that falls silent is given up."""
+    table = Table(autoplay=True, games=1, setup_patience=10.0)
+    (setup,) = table.arrive()
+    began = table.now
+    for _ in range(5):
+        table.now += 9 * SECOND
+        assert table.send(Arrived("layout", Layout(stamp=table.now, episode=setup.episode))) == []  # type: ignore[attr-defined]
+        assert table.core.wake_at() == table.now + 10 * SECOND
+    table.send(Arrived("layout", Layout(stamp=table.now, episode=99)))  # of another game: says nothing of this one
+    (aborted,) = table.wake()
+    assert isinstance(aborted, Episode) and aborted.phase == "aborted" and table.now == began + 55 * SECOND
+
+
+def trouble(reason: str, state: str = "degraded") -> Arrived:
+    health = Health(stamp=0, service="tracker", state=state, process=1, uptime=1.0, reason=reason)  # type: ignore[arg-type]
+    return Arrived("health/tracker", health)
+
+
+def test_an_aborted_game_says_what_those_who_embody_the_robots_complain_of() -> None:
+    table = Table(autoplay=True, games=1)
+    table.arrive()
+    table.send(trouble("no picture"))
+    table.send(trouble("overhead camera: no frame for 2.0 s"))
+    (aborted,) = table.wake()
+    assert aborted.reason == "no poses within 10 s of the setup; tracker: overhead camera: no frame for 2.0 s"  # type: ignore[attr-defined]
+    table = start()
+    table.send(trouble("x" * 500))
+    table.command("hider", 0)
+    table.command("seeker", 0)
+    (aborted,) = table.wake()
+    assert isinstance(aborted, Episode) and aborted.reason.startswith("step 0 was not executed within 3 s; tracker: xxx")
+    assert len(aborted.reason) == 200
+    table = start()
+    table.send(trouble("no frame"))
+    table.send(trouble("", "ok"))  # mended
+    table.command("hider", 0)
+    table.command("seeker", 0)
+    (aborted,) = table.wake()
+    assert aborted.reason == "step 0 was not executed within 3 s"  # type: ignore[attr-defined]
