@@ -7,17 +7,19 @@ from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from schemas import ROBOTS
+from schemas import ROBOTS, Robot
 from vantage.deployment import Deployment, configuration_of
 from vantage.setting_up.calibrating import today
-from vantage.setting_up.listening import judge_heard, listen
+from vantage.setting_up.listening import Heard, judge_heard, listen
 from vantage.setting_up.picture_check import check_picture
 from vantage.setting_up.pictures import open_source, require_size, write_picture
 from vantage.setting_up.progress import progress
+from vantage.setting_up.robot_view import check_robot_view
 from vantage.setting_up.settings import Check
 from vantage.setting_up.verdict import Verdict
 from vantage.tracking.calibration import Calibration, load_calibration
 from vantage.tracking.errors import UnusableCalibration
+from vantage.tracking.rgbd import load_rgbd, prepare
 from vantage.tracking.table import Table, default_table, load_table
 
 
@@ -59,10 +61,24 @@ def _check_deployment(settings: Check, deployment: Deployment, table: Table, cal
         write_picture(settings.to / "overhead.png", annotated)
         verdicts += found
     for robot in ROBOTS:
-        for key in (f"{robot}/camera/color", f"{robot}/color"):
-            view = heard.last_picture(key)
-            if view is not None:
-                write_picture(settings.to / f"{key.replace('/', '-')}.png", view)
+        verdicts += _check_robot_view(settings, deployment, heard, robot)
+    return verdicts
+
+
+def _check_robot_view(settings: Check, deployment: Deployment, heard: Heard, robot: Robot) -> list[Verdict]:
+    """What a robot's camera sees: from its raw frames where they are on the bus, else from the last step of a game."""
+    raw = heard.robot_pictures(robot, raw=True)
+    found = _first(f"{robot}.json", [Path(), deployment.folder])
+    if raw is not None and found is not None:
+        depth, color, _ = prepare(raw[1], raw[0], load_rgbd(found))
+        age = raw[2]
+    else:
+        published = heard.robot_pictures(robot, raw=False)
+        if published is None:
+            return [Verdict(f"{robot}'s camera", "not seen: its pictures are published in games; play one and check again")]
+        color, depth, age = published
+    verdicts, shown = check_robot_view(robot, color, depth, age)
+    write_picture(settings.to / f"{robot}.png", shown)
     return verdicts
 
 

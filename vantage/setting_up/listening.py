@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from schemas import ROBOTS, TOPICS, ColorImage, Health, Layout, MalformedMessage, Message, Track
+from schemas import ROBOTS, TOPICS, ColorImage, DepthImage, Health, Layout, MalformedMessage, Message, Track
 from vantage.bus import Bus, Sample
 from vantage.deployment import Process
 from vantage.setting_up.verdict import Verdict
@@ -20,7 +20,7 @@ Picture = npt.NDArray[np.uint8]
 
 LISTENED = (
     *("health/*", "layout", "overhead/color"),
-    *(f"{robot}/{part}" for robot in ROBOTS for part in ("track", "camera/color", "camera/depth", "color")),
+    *(f"{robot}/{part}" for robot in ROBOTS for part in ("track", "camera/color", "camera/depth", "color", "depth")),
 )
 LOWEST_SHARE = 0.5
 """Of a topic's expected rate."""
@@ -68,6 +68,21 @@ class Heard:
             return None
         image = stream.last
         return np.frombuffer(image.data, np.uint8).reshape(image.height, image.width, 3)
+
+    def robot_pictures(self, robot: str, *, raw: bool) -> tuple[Picture, npt.NDArray[np.uint16], float] | None:
+        """Return a robot's last colour and depth, raw from its camera or as published at a step, with their age in s.
+
+        uint8 [H, W, 3] RGB and uint16 [H, W]. None where there are none; of raw ones those kept from before do not count.
+        """
+        prefix = f"{robot}/camera" if raw else robot
+        color, depth = (self.streams.get(f"{prefix}/{part}", Stream()) for part in ("color", "depth"))
+        if not (isinstance(color.last, ColorImage) and isinstance(depth.last, DepthImage)):
+            return None
+        if raw and not (color.arrivals and depth.arrivals):
+            return None
+        shown = np.frombuffer(color.last.data, np.uint8).reshape(color.last.height, color.last.width, 3)
+        far = np.frombuffer(depth.last.data, "<u2").reshape(depth.last.height, depth.last.width)
+        return shown, far.astype(np.uint16), max(0.0, (self.ended - color.last.stamp) / 1e9)
 
 
 def listen(bus: Bus, seconds: float, tell: Callable[[float], None], clock: Callable[[], int] = time.time_ns) -> Heard:
