@@ -170,6 +170,7 @@ class TrackerCore:
         ]
         if failed:
             self._capture, self._failure = None, f"no step {self._step}: {', '.join(failed)}"
+            self._layout_due = None  # the referee need not wait any longer
             self._say_trouble(now)
             return ()
         capture = StepCapture(self._episode.episode, self._step, max(motion.stamp for motion in motions))
