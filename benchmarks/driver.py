@@ -20,9 +20,10 @@ from emulated_table import EmulatedTable, TrackerSettings
 from schemas import PRIMITIVES, ROBOTS, Command, Motion
 from vantage.rehearsal.body import BodySettings
 from vantage.rehearsal.firmware import FirmwareSettings
-from vantage.world.arena import HEADINGS, STAY, TURN
+from vantage.world.arena import STAY, TURN
 from vantage.world.game import move_both
 from vantage.world.layout import boxes_array, make_layout
+from vantage.world.motion import heading_number
 from vantage.world.start import draw_start
 
 MIX = (0.10, 0.35, 0.15, 0.20, 0.20)
@@ -104,8 +105,9 @@ def play(settings: Settings) -> tuple[list[Row], int]:
             row = ideal[ROBOTS.index(robot)]  # type: ignore[arg-type]
             error = math.hypot(x - row[0], y - row[1]), abs(math.remainder(heading - row[2] * TURN, math.tau))
             rows.append(Row(motion, *error))
-            if motion.result not in ("completed", "refused"):
-                row[:] = x, y, round(heading / TURN) % HEADINGS
+            place = table.core.place_of(robot)
+            if motion.result not in ("completed", "refused") and place is not None:
+                row[:] = place.x, place.y, heading_number(place.heading)  # as the driver goes on, from where it is tracked
         if reported < 2:
             unreported += 2 - reported
             step = settings.steps
@@ -118,9 +120,8 @@ def main(settings: Settings) -> None:
     wall = time.perf_counter() - began
     motions = [row for row in rows if row.motion.step > 0]
     print(f"{len(motions)} primitives, {len(rows) - len(motions)} drives to a start, in {wall:.1f} s of this machine")
-    print(
-        f"{'':12s}{'count':>7s}{'mm max':>9s}{'99 %':>7s}{'RMS':>7s}{'deg max':>9s}{'99 %':>7s}{'RMS':>7s}{'s mean':>9s}{'95 %':>7s}"
-    )
+    parts = "".join(f"{f'{unit} max':>9s}{'99 %':>7s}{'RMS':>7s}" for unit in ("mm", "deg"))
+    print(f"{'':12s}{'count':>7s}{parts}{'s mean':>9s}{'95 %':>7s}   (times of those completed)")
     for name in ("starts", "all", *PRIMITIVES):
         chosen = [row for row in motions if name in ("all", row.motion.primitive)]
         if name == "starts":

@@ -43,7 +43,7 @@ class RobotCore:
         self._phase = _Phase.IDLE
         self._wake: int | None = None
         self._starting: Starting | None = None
-        self._stepping = Stepping(self._robots, self._settings.control, self._place_of)
+        self._stepping = Stepping(self._robots, self._settings.control, self.place_of)
         self._early: dict[str, Command | Tick] = {}  # outside a game: what may belong to one that we hear of later
         self._trouble = ""
         self._now = 0
@@ -197,6 +197,7 @@ class RobotCore:
         known = self._robots[robot].control.estimate.place if robot in self._robots else None
         return known or Place(track.x, track.y, track.heading), track.stamp
 
-    def _place_of(self, robot: str) -> Place | None:
+    def place_of(self, robot: str) -> Place | None:
+        """Return where a robot is, as its tracks and its wheels tell; None when it was never seen."""
         sighting = self._sighting_of(robot)
         return None if sighting is None else sighting[0]

@@ -34,6 +34,8 @@ ASTRAY = math.radians(20.0)
 """... beyond this it stops and faces it again."""
 SLOW_TURN = 2.0
 """Times `response` in which steering errors are driven out while driving."""
+MANOEUVRE = int(0.9 * SECOND)
+"""ns that a robot needs to turn, drive sideways and turn back: with less left it is not begun."""
 STUCK_WAY = 0.006
 """m of the wheels of which the robot must show a part, or it is stuck; ..."""
 STUCK_SHARE = 0.35
@@ -189,7 +191,7 @@ class MotionControl:
         if self._phase is _Phase.SETTLE:
             if not self._target.precise:
                 return self._finish("completed")
-            settled = self._settled()
+            settled = self._settled(now)
             if settled is not None:
                 return settled
         return self._wheel_speeds(ahead, turn)
@@ -222,7 +224,7 @@ class MotionControl:
             self._phase = _Phase.SETTLE
         return 0.0, 0.0
 
-    def _settled(self) -> Ended | None:
+    def _settled(self, now: int) -> Ended | None:
         """Judge a robot that should stand still: done, or what is left must be corrected."""
         estimate, control, target = self.estimate, self._control, self._target
         place = estimate.place
@@ -230,7 +232,10 @@ class MotionControl:
             return None
         ahead, beside = _in_robot_frame(place, target)
         _, turn = _errors(place, target)
-        if abs(beside) > control.beside_aim:
+        if abs(beside) > control.beside_aim and self._deadline - now < MANOEUVRE:
+            if estimate.frames_at_rest >= control.frames:
+                self.fail("timed-out", f"{1000 * abs(beside):.1f} mm beside its target, too late to correct that", now)
+        elif abs(beside) > control.beside_aim:
             # Wheels do not go sideways: turn, drive, turn back.
             self._gear = 1 if ahead >= 0.0 else -1
             self._phase = _Phase.FACE

@@ -50,7 +50,7 @@ class Control:
     """rad: the same"""
     distance_aim: float = 0.0010
     """m: nearer than this to the target along its heading, a robot corrects nothing more"""
-    beside_aim: float = 0.0013
+    beside_aim: float = 0.0016
     """m: the same beside it; to correct this, a robot must turn, drive and turn back"""
     heading_aim: float = math.radians(0.9)
     """rad: the same"""
