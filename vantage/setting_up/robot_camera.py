@@ -28,6 +28,8 @@ _STRAY: Final = 0.012
 """m from the plane at which a point does not count as floor any more."""
 GREATEST_SPREAD: Final = 0.006
 """m (RMS) by which a floor may be uneven to a camera."""
+GREATEST_REMAINDER: Final = 0.5
+"""px that a distortion may be off where it is turned round."""
 GREATEST_ROLL: Final = math.radians(2.0)
 LARGEST_TILT: Final = math.radians(30.0)
 HEIGHTS: Final = (0.03, 0.30)
@@ -227,17 +229,27 @@ def forward_distortion(inverse: Floats, lens: Lens) -> Floats:
     """Return OpenCV's coefficients k1, k2, p1, p2, k3 for a lens whose maker gives them for the way back.
 
     librealsense's "inverse Brown-Conrady" takes a pixel to its ray by the polynomial that OpenCV takes a ray to its pixel by.
-    The coefficients enter linearly, so that least squares over the picture finds them; to half a pixel for real lenses.
+    The coefficients enter linearly, so that least squares over the picture finds them.
 
     Args:
         inverse: float64 [5].
         lens: without distortion.
+
+    Raises:
+        TableTrouble: no such coefficients are near enough.
     """
     u, v = np.meshgrid(np.linspace(0, lens.width - 1, 41), np.linspace(0, lens.height - 1, 31))
     seen = np.column_stack((((u - lens.cx) / lens.fx).ravel(), ((v - lens.cy) / lens.fy).ravel()))  # [n, 2]
     ray = seen + np.einsum("nij,j->ni", _distortion_terms(seen), inverse)
     terms = _distortion_terms(ray).reshape(-1, 5)
-    return np.asarray(np.linalg.lstsq(terms, (seen - ray).ravel(), rcond=None)[0], dtype=np.float64)
+    forward = np.asarray(np.linalg.lstsq(terms, (seen - ray).ravel(), rcond=None)[0], dtype=np.float64)
+    left = float(np.abs(terms @ forward - (seen - ray).ravel()).max()) * lens.fx
+    if left > GREATEST_REMAINDER:
+        raise TableTrouble(
+            f"the maker's distortion {inverse.tolist()} cannot be turned round to {GREATEST_REMAINDER:g} px ({left:.1f} px are left): "
+            "calibrate the camera with the maker's tool"
+        )
+    return forward
 
 
 def _distortion_terms(points: Floats) -> Floats:
