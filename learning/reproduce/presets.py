@@ -65,6 +65,7 @@ class Group:
         kind: of the data it learns from; None = the main one. Judged on the main one, too, where that is played alike.
         plain: without the losses of the caught head and of the judge, which the other compared networks cannot have.
         maps: judge its value maps, too.
+        mapped: the models whose maps are judged; None = all.
         vpn_on_true: ablation: also a VPN that learns from true views, judged on predictions.
     """
 
@@ -78,6 +79,7 @@ class Group:
     kind: Kind | None = None
     plain: bool = False
     maps: bool = False
+    mapped: tuple[Model, ...] | None = None
     vpn_on_true: bool = False
 
 
@@ -154,11 +156,20 @@ PRESETS: dict[str, Preset] = {
     # Some two hours; the networks trained for longer are the released ones.
     "hours": Preset(
         main=_MAIN,
-        others=_other_kinds((300, 50, 300))[:3],
+        others=_other_kinds((300, 50, 300))[:2],
         groups=(
-            Group("compared", COMPARED, "compact", 80_000, vpn=(48_000, 3), plain=True, maps=True, vpn_on_true=True),
+            Group(
+                "compared",
+                COMPARED,
+                "compact",
+                80_000,
+                vpn=(48_000, 3),
+                plain=True,
+                maps=True,
+                mapped=("vpt-tob", "hazard", "coordinate-path"),
+                vpn_on_true=True,
+            ),
             Group("attention", ("hazard-attention",), "compact", 300_000, kind=_LARGE, maps=True),
-            Group("paper-network", ("vpt-tob", "whole-image"), "paper", 16_000, batch=32),
             RELEASED,
             *_rates(12_000, "hazard", batch=32),
         ),

@@ -256,10 +256,11 @@ def _evaluations(preset: Preset, inputs: dict[str, Inputs]) -> list[Stage]:
 
 def _maps(group: Group, preset: Preset, inputs: Inputs) -> Stage:
     name = "maps" if group is preset.groups[0] else f"maps-of-{group.name}"
-    asked = ("--weights", f"@/weights/{group.name}", "--methods", *methods_of(group), "--starts", str(preset.starts))
+    methods = methods_of(group) if group.mapped is None else group.mapped
+    asked = ("--weights", f"@/weights/{group.name}", "--methods", *methods, "--starts", str(preset.starts))
     many = ("--simulations", str(preset.simulations))
     where = ("--seeker", preset.main.seeker, "--layout", preset.main.layout, "--seed", "1000000")
-    views = sum(model in VIEW_MODELS for model in group.models)
+    views = sum(model in VIEW_MODELS for model in methods)
     return Stage(
         f"evaluate {name}",
         ("evaluate", "maps", *asked, "--horizons", *map(str, preset.map_horizons), *many, *where, "--to", f"@/results/{name}"),
