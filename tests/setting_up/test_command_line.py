@@ -44,3 +44,13 @@ def test_mistakes_are_answered_in_one_readable_line(words: tuple[str, ...], told
     assert told in outcome.stderr
     assert len(outcome.stderr.strip().splitlines()) == 1
     assert "Traceback" not in outcome.stderr
+
+
+@pytest.mark.parametrize("words", [("print",), ("check",), ("calibrate", "lens", "--source", "0"), ("colors", "--source", "0")])
+def test_without_the_cameras_packages_it_says_what_to_install(words: tuple[str, ...], tmp_path: Path) -> None:
+    arguments = ["vantage", "table", *words]
+    program = f"import sys; sys.modules['cv2'] = None; sys.argv = {arguments!r}; from vantage.cli import main; main()"
+    outcome = subprocess.run([sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert outcome.returncode == 1
+    assert "the package cv2 is missing: pip install" in outcome.stderr
+    assert "Traceback" not in outcome.stderr

@@ -246,8 +246,8 @@ def forward_distortion(inverse: Floats, lens: Lens) -> Floats:
     left = float(np.abs(terms @ forward - (seen - ray).ravel()).max()) * lens.fx
     if left > GREATEST_REMAINDER:
         raise TableTrouble(
-            f"the maker's distortion {inverse.tolist()} cannot be turned round to {GREATEST_REMAINDER:g} px ({left:.1f} px are left): "
-            "calibrate the camera with the maker's tool"
+            f"the maker's distortion {inverse.tolist()} cannot be turned round to {GREATEST_REMAINDER:g} px "
+            f"({left:.1f} px are left): calibrate the camera with the maker's tool"
         )
     return forward
 
