@@ -136,8 +136,10 @@ def up(settings: Up) -> int:
     console.print(f"{settings.deployment} is up: {len(verdicts)} services healthy after {took:.1f} s, {memory} of memory")
     folder = "" if settings.folder is None else f" --folder {settings.folder}"
     name = "" if settings.deployment == "simulation" else f" {settings.deployment}"
-    for words, meaning in (("play --seed 7", "play a game"), ("status", "how the services do"), ("down", "stop them")):
-        console.print(f"  {f'vantage {words}{name}{folder}':<24} {meaning}", soft_wrap=True)
+    where = f" --deployment{name}" if name else ""
+    steps = ((f"play --seed 7{where}", "play a game"), (f"status{name}", "how the services do"), (f"down{name}", "stop them"))
+    for words, meaning in steps:
+        console.print(f"  {f'vantage {words}{folder}':<24} {meaning}", soft_wrap=True)
     console.print(f"recordings: {settings.logs}   runtime folder: {deployment.folder}", soft_wrap=True)
     return 0
 
