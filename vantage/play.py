@@ -14,7 +14,7 @@ from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedCo
 
 from schemas import TOPICS, Control, Episode, MalformedMessage, Message, Plan, Players, Rules, Tick, decode, encode
 from vantage.bus import Alive, Bus, Event, Sample
-from vantage.deployment import Deployment, DeploymentError
+from vantage.deployment import Deployment, DeploymentError, deployments
 
 console = Console(highlight=False)
 
@@ -35,6 +35,7 @@ class Settings:
         vantage play --seed 7 --games 3
         vantage play --seed 7 --seeker expert --steps 200 --layout lab
         vantage play --games 20 --period 0        as fast as the players answer
+        vantage play --deployment rehearsal
     """
 
     seed: int = 1
@@ -51,8 +52,8 @@ class Settings:
     """Preset of the seeker."""
     period: float = 0.25
     """Seconds a step; 0 = as fast as the players answer."""
-    deployment: str = "simulation"
-    """The deployment to play on."""
+    deployment: str | None = None
+    """The deployment to play on; default: the one that is up."""
     folder: Path | None = None
     """Its private runtime folder, as given to `vantage up`."""
     arena: str = "table"
@@ -199,7 +200,7 @@ def play(bus: Bus, ask: Control) -> Sequence[Game]:
 
 
 def wish(seed: int, games: int, rules: Rules, players: Players) -> Control:
-    """Return the request for some games; a layout file is named so that the simulator finds it from its own folder.
+    """Return the request for some games; a layout file is named so that the table finds it from its own folder.
 
     Raises:
         DeploymentError: nobody could play such a game.
@@ -221,17 +222,23 @@ def wish(seed: int, games: int, rules: Rules, players: Players) -> Control:
         raise DeploymentError(f"no such game can be played: {error}") from None
 
 
+def _find(settings: Settings) -> Deployment:
+    """Return the deployment that was named, else the one that is up, else the simulation."""
+    if settings.deployment is not None:
+        return Deployment(settings.deployment, settings.folder)
+    up = [deployment for name in deployments() if (deployment := Deployment(name, settings.folder)).is_running()]
+    return up[0] if len(up) == 1 else Deployment("simulation", settings.folder)
+
+
 def main(settings: Settings) -> int:
     """Play; 0 if no game was aborted."""
     from vantage.bus.zenoh_bus import ZenohBus
 
     rules = Rules(maximum_steps=settings.steps, layout=settings.layout, step_period=settings.period)
     ask = wish(settings.seed, settings.games, rules, Players(hider=settings.hider, seeker=settings.seeker))
-    deployment = Deployment(settings.deployment, settings.folder)
+    deployment = _find(settings)
     if not deployment.folder.is_dir():
-        raise DeploymentError(
-            f"{settings.deployment} is not up in {deployment.folder}: start it with `vantage up {settings.deployment}`"
-        )
+        raise DeploymentError(f"{deployment.name} is not up in {deployment.folder}: start it with `vantage up {deployment.name}`")
     with ZenohBus("command-line", deployment.folder, settings.arena) as bus:
         games = play(bus, ask)
     return 1 if any(game.episode.phase == "aborted" for game in games) else 0
