@@ -22,17 +22,17 @@ VANTAGE = Path(sys.executable).parent / "vantage"
 class Table:
     """One deployment from start to end. `started` is the outcome of `vantage up`, `took` its seconds."""
 
-    def __init__(self) -> None:
+    def __init__(self, name: str = "simulation") -> None:
         # Not pytest's folder: socket paths must be short.
         self.home = Path(tempfile.mkdtemp(prefix="vantage-test-", dir="/tmp"))
         self.folder = self.home / "run"
         self.logs = self.home / "logs"
-        self.deployment = Deployment("simulation", self.folder)
+        self.deployment = Deployment(name, self.folder)
 
     def __enter__(self) -> Table:
         subprocess.run([sys.executable, "-m", "vantage.warm_up"], check=True, capture_output=True)
         started = time.monotonic()
-        self.started = self.command("up", "simulation", "--logs", str(self.logs), "--timeout", "120")
+        self.started = self.command("up", self.deployment.name, "--logs", str(self.logs), "--timeout", "120")
         self.took = time.monotonic() - started
         return self
 

@@ -1,0 +1,152 @@
+"""A real table's processes around a rehearsed one: games through cameras, tracker, driver and serial lines; plugs pulled, processes
+killed. What came of it is judged from the log and from what health says.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from schemas import ROBOTS, ColorImage, DepthImage, Episode, Message, Motion, Pose, Track
+from tests.stack.table import Table, follow, stop_games, wish
+from vantage.bus.zenoh_bus import ZenohBus
+from vantage.log import find_logs, open_log
+from vantage.play import Match
+from vantage.watch import HealthWatch
+
+STEPS = 6
+SEED = 1
+"""Its start is where the robots of the rehearsed table stand at first."""
+SERVICES = ("recorder", "predictor", "referee", "rehearsal", "tracker", "robot", "seeker", "planner")
+CAMERAS = ("overhead camera", "hider camera", "seeker camera")
+
+
+@pytest.fixture(scope="module")
+def rehearsal() -> Iterator[Table]:
+    with Table("rehearsal") as running:
+        yield running
+
+
+def read_back(table: Table) -> list[Message]:
+    """All messages of all logs so far, in the order in which they were recorded."""
+    messages = []
+    for parts in find_logs(table.logs):
+        with open_log(*parts) as log:
+            messages.extend(record.decode() for record in log.records())
+    return messages
+
+
+def listen_until(watch: HealthWatch, said: Callable[[str], bool], service: str, timeout: float) -> str:
+    """Listen to health until a service says something; returns it."""
+    deadline = time.monotonic() + timeout
+    while True:
+        watch.listen(0.1)
+        troubles = {verdict.process.name: verdict.trouble for verdict in watch.verdicts()}
+        if said(troubles[service]):
+            return troubles[service]
+        assert time.monotonic() < deadline, troubles
+
+
+def test_up_ends_with_every_service_healthy(rehearsal: Table) -> None:
+    assert rehearsal.started.returncode == 0, rehearsal.started.stderr
+    assert set(rehearsal.services()) == set(SERVICES)
+
+
+def test_a_game_is_played_through_cameras_and_wheels(rehearsal: Table) -> None:
+    outcome = rehearsal.command("play", "--seed", str(SEED), "--steps", str(STEPS), "--deployment", "rehearsal")
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+    assert "the hider survived" in outcome.stdout or "was caught" in outcome.stdout
+
+
+def test_its_log_keeps_the_contract(rehearsal: Table) -> None:
+    """From the log alone: every step's pictures and poses are there, captured after the motions that led to them."""
+    deadline = time.monotonic() + 5.0
+    while not any(isinstance(message, Episode) and message.phase == "ended" for message in (said := read_back(rehearsal))):
+        assert time.monotonic() < deadline, "the end of the game is not on the log"
+    game = next(message for message in said if isinstance(message, Episode) and message.phase == "ended")
+    steps = range(game.step + 1)
+    of_game = [message for message in said if message.episode == game.episode]
+    poses = [message for message in of_game if isinstance(message, Pose)]
+    motions = [message for message in of_game if isinstance(message, Motion)]
+    pictures = [message for message in of_game if isinstance(message, DepthImage | ColorImage)]
+    assert [pose.step for pose in poses] == [step for step in steps for _ in ROBOTS]
+    assert sorted(motion.step for motion in motions) == [step for step in steps for _ in ROBOTS]
+    assert sorted(picture.step for picture in pictures) == [step for step in steps for _ in range(4)]
+    assert all(motion.result in ("completed", "refused", "stuck", "timed-out") for motion in motions)
+    for step in steps:
+        rested = max(motion.stamp for motion in motions if motion.step == step)
+        assert all(message.stamp > rested for message in (*poses, *pictures) if message.step == step)
+    assert any(isinstance(message, Track) for message in of_game)
+    for pose in poses:
+        assert 0.0 < pose.x < 1.2 and 0.0 < pose.y < 1.2 and abs(pose.heading) <= math.pi
+
+
+def test_status_of_a_rehearsal(rehearsal: Table) -> None:
+    document = json.loads(rehearsal.command("status", "rehearsal", "--json").stdout)
+    assert {row["service"] for row in document["services"]} == set(SERVICES)
+    assert all(row["failed"] == 0 and row["malformed"] == 0 for row in document["services"])
+
+
+@pytest.mark.parametrize("camera", CAMERAS)
+def test_a_camera_unplugged_is_named_and_plugged_in_again_all_is_well(rehearsal: Table, camera: str) -> None:
+    with HealthWatch(rehearsal.deployment) as watch:
+        rehearsal.wait_until_healthy(watch, 20.0)
+        unplug(rehearsal, camera)
+        said = listen_until(watch, lambda trouble: f"{camera}: no frame for" in trouble, "tracker", 10.0)
+        assert [name for name in CAMERAS if name in said] == [camera]
+        unplug(rehearsal)
+        rehearsal.wait_until_healthy(watch, 10.0)
+
+
+def test_a_line_unplugged_aborts_the_game_with_the_reason_and_the_next_one_is_played(rehearsal: Table) -> None:
+    with HealthWatch(rehearsal.deployment) as watch, ZenohBus("command-line", rehearsal.folder) as bus:
+        rehearsal.wait_until_healthy(watch, 20.0)
+        match = Match(bus, wish(seed=SEED, games=1, steps=60, period=0.25))
+        follow(match, lambda: match.step >= 2, 60.0, "the game gets to step 2")
+        unplug(rehearsal, "seeker line")
+        follow(match, lambda: bool(match.games), 15.0, "the game is given up")
+        episode = match.games[0].episode
+        assert episode.phase == "aborted"
+        assert "seeker" in episode.reason, episode.reason
+        unplug(rehearsal)
+        rehearsal.wait_until_healthy(watch, 15.0)
+        again = Match(bus, wish(seed=SEED, games=1, steps=2, period=0.25))
+        follow(again, lambda: bool(again.games), 60.0, "a game after that")
+        assert again.games[0].episode.phase == "ended", again.games[0].episode.reason
+
+
+@pytest.mark.parametrize("service", ["tracker", "robot", "rehearsal"])
+def test_a_process_killed_in_mid_game_comes_again_and_games_go_on(rehearsal: Table, service: str) -> None:
+    with HealthWatch(rehearsal.deployment) as watch, ZenohBus("command-line", rehearsal.folder) as bus:
+        rehearsal.wait_until_healthy(watch, 20.0)
+        others = {name: rehearsal.pid_of(name) for name in SERVICES if name != service}
+        match = Match(bus, wish(seed=SEED, games=4, steps=40, period=0.25))
+        follow(match, lambda: match.step >= 2, 60.0, "the game gets to step 2")
+        assert match.current is not None
+        number, step, pid = match.current.episode, match.step, rehearsal.pid_of(service)
+        os.kill(pid, signal.SIGKILL)
+        rehearsal.wait_until_healthy(watch, 40.0, replaced=pid)
+
+        def goes_on() -> bool:
+            current = match.current
+            return current is not None and match.step > (step + 1 if current.episode == number else 0)
+
+        follow(match, goes_on, 60.0, "the game goes on, or another one runs")
+        aborted = [game.episode for game in match.games if game.episode.phase == "aborted"]
+        assert all(episode.reason for episode in aborted)
+        assert {name: rehearsal.pid_of(name) for name in others} == others
+    stop_games(rehearsal.folder)
+
+
+def unplug(table: Table, *plugs: str) -> None:
+    """Pull these plugs of the rehearsed table, and put all others in."""
+    faults: Path = table.folder / "unplugged"
+    faults.with_suffix(".part").write_text("\n".join(plugs))
+    faults.with_suffix(".part").replace(faults)
