@@ -32,6 +32,8 @@ FACING = math.radians(4.0)
 """rad: facing the target within this, the robot drives at it; ..."""
 ASTRAY = math.radians(20.0)
 """... beyond this it stops and faces it again."""
+UNEVEN = 2.0
+"""Times by which lines come unevenly, that `response` is longer."""
 SLOW_TURN = 2.0
 """Times `response` in which steering errors are driven out while driving."""
 MANOEUVRE = int(0.9 * SECOND)
@@ -199,6 +201,8 @@ class MotionControl:
     def _steer(self, place: Place) -> tuple[float, float]:
         """Return speed (m/s) and turn rate (rad/s) for where the robot comes to rest, and turn to the next phase."""
         control, target = self._control, self._target
+        # A speed that may hold longer than meant must drive out less than all of the error in that time.
+        response = control.response + UNEVEN * self._model.uneven
         ahead, beside = _in_robot_frame(place, target)
         distance = math.hypot(ahead, beside)
         if self._phase in (_Phase.FACE, _Phase.DRIVE) and not target.precise and distance < target.near:
@@ -206,7 +210,7 @@ class MotionControl:
         if self._phase is _Phase.FACE:
             off = math.atan2(self._gear * beside, self._gear * ahead)
             if abs(off) > FACING and distance > (NEAREST if target.precise else target.near):
-                return 0.0, off / control.response
+                return 0.0, off / response
             self._phase = _Phase.DRIVE
         if self._phase is _Phase.DRIVE:
             left = self._gear * ahead
@@ -214,13 +218,13 @@ class MotionControl:
             if left > REACHED:
                 if abs(off) > ASTRAY and distance > LOOK_AHEAD:
                     self._phase = _Phase.FACE
-                    return 0.0, off / control.response
-                return self._gear * left / control.response, off / (SLOW_TURN * control.response)
+                    return 0.0, off / response
+                return self._gear * left / response, off / (SLOW_TURN * response)
             self._phase = _Phase.ALIGN if target.precise else _Phase.SETTLE
         if self._phase is _Phase.ALIGN:
             turn = 0.0 if target.heading is None else wrapped(target.heading - place.heading)
             if abs(turn) > 0.5 * control.heading_aim or abs(ahead) > 0.5 * control.distance_aim:
-                return ahead / control.response, turn / control.response
+                return ahead / response, turn / response
             self._phase = _Phase.SETTLE
         return 0.0, 0.0
 

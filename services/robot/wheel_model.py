@@ -9,6 +9,8 @@ from dataclasses import dataclass
 from services.robot.settings import Wheels
 
 _SECOND = 1_000_000_000
+UNEVEN_MEMORY = 0.05
+"""Share that a line has in the running mean of how unevenly they come."""
 TRUST = 0.5
 """Share by which a measured speed corrects the modelled one."""
 
@@ -37,12 +39,20 @@ class WheelModel:
         self._told: deque[_Told] = deque(maxlen=128)
         self._speeds = (0.0, 0.0)
         self._measured: int | None = None
+        self._taken: int | None = None
+        self._taken_at = 0
+        self._excess_square = 0.0  # s^2, running mean
         self._acted_until = 0  # what was told until then has acted by the last measurement
 
     @property
     def told_to_rest(self) -> bool:
         """Whether the last line that the robot is known to have taken stops the wheels, and so does every later one."""
         return all(told.left == 0.0 == told.right for told in self._told if not told.over)
+
+    @property
+    def uneven(self) -> float:
+        """By how much longer than meant speeds hold because lines come unevenly, root mean square, s."""
+        return math.sqrt(self._excess_square)
 
     def tell(self, sequence: int, left: float, right: float, now: int) -> None:
         """Take note of speeds (m/s) sent at a time (ns) in the line of this number."""
@@ -51,6 +61,7 @@ class WheelModel:
     def measure(self, stamp: int, taken: int, left: float, right: float) -> None:
         """Take what the wheels turned (m) since the last measurement, up to a time (ns), and the last line taken by then."""
         since, self._measured = self._measured, stamp
+        self._note_holding(stamp, taken)
         acted_since, self._acted_until = self._acted_until, self._acted(stamp, taken)
         if since is None or stamp <= since:
             return
@@ -69,6 +80,18 @@ class WheelModel:
             return 0.0, 0.0
         left, right = self._turned(self._acted_until, now)
         return left + self._lag * self._speeds[0], right + self._lag * self._speeds[1]
+
+    def _note_holding(self, stamp: int, taken: int) -> None:
+        """Compare how long the line taken before has held with how long it was meant to: until the one after it."""
+        if taken == self._taken:
+            return
+        for index, told in enumerate(self._told):
+            if told.sequence == self._taken and index + 1 < len(self._told):
+                meant = self._told[index + 1].since - told.since
+                excess = max(stamp - self._taken_at - meant, 0) / _SECOND
+                self._excess_square += UNEVEN_MEMORY * (excess * excess - self._excess_square)
+                break
+        self._taken, self._taken_at = taken, stamp
 
     def _acted(self, stamp: int, taken: int) -> int:
         """Return until when (ns) what was told has acted by a measurement: by the usual dead time, if the robot agrees."""

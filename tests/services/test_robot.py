@@ -230,7 +230,7 @@ def test_a_low_battery_is_trouble_and_the_voltage_is_in_every_report() -> None:
     assert battery == pytest.approx(6.35, abs=0.02)
 
 
-@pytest.mark.parametrize("loss", [{"dropped": 0.15}, {"damaged": 0.15}, {"latency": 0.02, "jitter": 0.03}])
+@pytest.mark.parametrize("loss", [{"dropped": 0.15}, {"damaged": 0.15}, {"latency": 0.02, "jitter": 0.06}])
 def test_worse_cables_cost_time_not_truth(loss: dict[str, float]) -> None:
     settings = driver.Settings(primitives=40, seed=9, firmware=FirmwareSettings(**loss))  # type: ignore[arg-type]
     rows, unreported = driver.play(settings)
