@@ -1,4 +1,4 @@
-"""A real table's processes around a rehearsed one: games through cameras, tracker, driver and serial lines; plugs pulled, processes
+"""A real table's processes around a rehearsed one: games through cameras, tracker, driver and lines; plugs pulled, processes
 killed. What came of it is judged from the log and from what health says.
 """
 
@@ -36,7 +36,7 @@ def rehearsal() -> Iterator[Table]:
 
 def read_back(table: Table) -> list[Message]:
     """All messages of all logs so far, in the order in which they were recorded."""
-    messages = []
+    messages: list[Message] = []
     for parts in find_logs(table.logs):
         with open_log(*parts) as log:
             messages.extend(record.decode() for record in log.records())
@@ -68,9 +68,12 @@ def test_a_game_is_played_through_cameras_and_wheels(rehearsal: Table) -> None:
 def test_its_log_keeps_the_contract(rehearsal: Table) -> None:
     """From the log alone: every step's pictures and poses are there, captured after the motions that led to them."""
     deadline = time.monotonic() + 5.0
-    while not any(isinstance(message, Episode) and message.phase == "ended" for message in (said := read_back(rehearsal))):
+    ended: list[Episode] = []
+    while not ended:
         assert time.monotonic() < deadline, "the end of the game is not on the log"
-    game = next(message for message in said if isinstance(message, Episode) and message.phase == "ended")
+        said = read_back(rehearsal)
+        ended = [message for message in said if isinstance(message, Episode) and message.phase == "ended"]
+    game = ended[0]
     steps = range(game.step + 1)
     of_game = [message for message in said if message.episode == game.episode]
     poses = [message for message in of_game if isinstance(message, Pose)]
