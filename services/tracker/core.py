@@ -19,13 +19,15 @@ from services.tracker.declaration import DECLARATION
 from services.tracker.watch import PATIENCE_AT_REST, CameraWatch
 from vantage.service import SECOND, Arrived, Captured, Publish, Received, Send, StepJoin, Unexpected
 from vantage.tracking.calibration import Calibration
-from vantage.tracking.overhead import OverheadTracker, TrackState
+from vantage.tracking.overhead import Observation, OverheadTracker, TrackState
 from vantage.tracking.rgbd import RgbdCalibration, RgbdPreparer
 from vantage.tracking.table import Table
 
 CHECK_PERIOD = SECOND // 4
 LAYOUT_PERIOD = 2 * SECOND
 """While robots drive to their starts the layout is said again and again: each time renews the referee's patience."""
+SETTLING = SECOND
+"""After the first search of the whole picture, boxes are found one by one; there is no layout until none has come for so long."""
 MOVED = 0.010
 TURNED = math.radians(4.0)
 """A box is news when it is seen this far from where it was published, m and rad; less is the camera's noise."""
@@ -69,6 +71,7 @@ class TrackerCore:
         self._capture: StepCapture | None = None
         self._failure = ""
         self._boxes: tuple[Box, ...] | None = None
+        self._found: tuple[int, int] | None = None  # since when (ns) there are so many boxes
         self._published: Layout | None = None
         self._layout_due: int | None = None
         self._tracks: tuple[int, dict[str, TrackState | None]] = (0, {})
@@ -195,14 +198,24 @@ class TrackerCore:
             if track.seen:
                 self._tags.there(self._tag_names[robot], now)
             sends.append(Publish(f"{robot}/track", _message_of(track, place)))
-        if observation.full_search or self._boxes is not None:  # before, only some of the boxes may have been found
-            self._boxes = observation.boxes
-            if self._published is None or have_moved(self._published.obstacles, observation.boxes):
-                sends.extend(self._say_layout(now))
+        sends.extend(self._on_boxes(observation, stamp, now))
         if self._capture is not None:
             self._capture.see(observation.tracks, stamp)
             sends.extend(self._finish_capture())
         return sends
+
+    def _on_boxes(self, observation: Observation, stamp: int, now: int) -> Sequence[Send]:
+        """Publish the layout when it is known for the first time, and when boxes have moved."""
+        if self._published is None:
+            if self._found is None and not observation.full_search:
+                return ()
+            if self._found is None or len(observation.boxes) != self._found[1]:
+                self._found = (stamp, len(observation.boxes))
+            if stamp - self._found[0] < SETTLING:
+                return ()
+        self._boxes = observation.boxes
+        moved = self._published is None or have_moved(self._published.obstacles, observation.boxes)
+        return self._say_layout(now) if moved else ()
 
     def _on_frame(self, robot: str, frame: RawFrame, now: int) -> Sequence[Send]:
         self._cameras.there(f"{robot} camera", now)

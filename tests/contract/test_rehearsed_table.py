@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from schemas import ROBOTS
+from services.tracker.core import TrackerCore
 from tests.contract.tables import RehearsedTable
 from vantage.service import SECOND
 
@@ -22,7 +23,7 @@ def test_tracks_come_at_the_cameras_rate_and_are_where_the_robots_are(rehearsed:
 
 
 def test_the_layout_is_said_without_a_game_and_again_and_again_while_one_is_set_up(rehearsed: RehearsedTable) -> None:
-    assert rehearsed.run(lambda: bool(rehearsed.messages("layout", 0)), 1.0)
+    assert rehearsed.run(lambda: bool(rehearsed.messages("layout", 0)), 2.0)
     rehearsed.begin(1, seed=2)  # a start elsewhere: the robots drive there
     stamps = [message.stamp for message in rehearsed.messages("layout", 1)]
     assert len(stamps) >= 3
@@ -33,7 +34,7 @@ def test_the_layout_is_said_without_a_game_and_again_and_again_while_one_is_set_
 
 
 def test_the_tracked_boxes_are_the_true_ones(rehearsed: RehearsedTable) -> None:
-    assert rehearsed.run(lambda: bool(rehearsed.messages("layout", 0)), 1.0)
+    assert rehearsed.run(lambda: bool(rehearsed.messages("layout", 0)), 2.0)
     rehearsed.run(lambda: False, 2.0)
     boxes = rehearsed.messages("layout", 0)[-1].obstacles
     truth = rehearsed.calibrated.table.obstacles
@@ -46,7 +47,10 @@ def test_the_tracked_boxes_are_the_true_ones(rehearsed: RehearsedTable) -> None:
 
 
 def tracker_trouble(table: RehearsedTable) -> str:
-    return table.runtimes[2].health_report("ok").reason
+    """What it says of itself; that commands are old while a test takes its time is another matter."""
+    core = table.runtimes[2].core
+    assert isinstance(core, TrackerCore)
+    return core.trouble
 
 
 def test_a_camera_without_frames_is_named_and_the_game_goes_on_when_it_is_back(rehearsed: RehearsedTable) -> None:
@@ -58,7 +62,7 @@ def test_a_camera_without_frames_is_named_and_the_game_goes_on_when_it_is_back(r
         assert f"{camera}: no frame for 1." in tracker_trouble(rehearsed)
         rehearsed.unplug()
         rehearsed.run(lambda: False, 1.0)
-    assert tracker_trouble(rehearsed) == "" or "referee" in tracker_trouble(rehearsed)
+    assert tracker_trouble(rehearsed) == ""
     rehearsed.move(1, 0, "left", "left")
 
 
