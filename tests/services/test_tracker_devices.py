@@ -158,7 +158,7 @@ def test_a_robots_pictures_are_read_from_a_log(tmp_path: Path) -> None:
     intrinsics = Intrinsics(fx=5.0, fy=5.0, cx=2.5, cy=1.5)
     for step, shade in enumerate(SHADES):
         depth, color = pair(shade)
-        shape = {"stamp": 10 + step, "step": step, "width": 6, "height": 4, "intrinsics": intrinsics}
+        shape: dict[str, Any] = {"stamp": 10 + step, "step": step, "width": 6, "height": 4, "intrinsics": intrinsics}
         messages.append(("hider/depth", DepthImage(**shape, data=depth.tobytes())))
         messages.append(("hider/color", ColorImage(**shape, data=color.tobytes())))
     log = tmp_path / "game.mcap"
