@@ -4,6 +4,7 @@ from schemas.codec import MalformedMessage, decode, encode
 from schemas.messages import (
     GOAL_COUNT,
     PRIMITIVES,
+    REASON_LIMIT,
     ROBOTS,
     STATE_IMAGE_SIZE,
     Box,
@@ -37,6 +38,7 @@ __all__ = [
     "CALLS",
     "GOAL_COUNT",
     "PRIMITIVES",
+    "REASON_LIMIT",
     "ROBOTS",
     "SERVICES",
     "STATE_IMAGE_SIZE",

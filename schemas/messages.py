@@ -32,7 +32,9 @@ MAXIMUM_STEPS = 100_000
 Nanoseconds = Annotated[int, Meta(ge=0, le=2**63 - 1)]
 StepNumber = Annotated[int, Meta(ge=0, le=MAXIMUM_STEPS)]
 Count = Annotated[int, Meta(ge=0, le=2**63 - 1)]
-ShortText = Annotated[str, Meta(max_length=200)]
+REASON_LIMIT = 200
+"""Letters of a short text: a name, or a reason for people."""
+ShortText = Annotated[str, Meta(max_length=REASON_LIMIT)]
 LongText = Annotated[str, Meta(max_length=2000)]
 Metres = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Length = Annotated[float, Meta(ge=0.0, le=100.0)]

@@ -117,7 +117,7 @@ _MAIN = Kind("glancing", "random", 200, _PAPER_GAMES)
 _LARGE = Kind("glancing", "random", 200, (18_000, 500, 500), "large")
 
 
-RELEASED = Group("released", ("vpt-tob", "hazard"), "compact", 0, maps=True)
+RELEASED = Group("released", ("vpt-tob", "hazard-attention"), "compact", 0, maps=True)
 """The weights of this release, judged on the same examples and maps."""
 
 
@@ -169,7 +169,6 @@ PRESETS: dict[str, Preset] = {
                 mapped=("vpt-tob", "hazard", "coordinate-path"),
                 vpn_on_true=True,
             ),
-            Group("attention", ("hazard-attention",), "compact", 300_000, kind=_LARGE, maps=True),
             RELEASED,
             *_rates(12_000, "hazard", batch=32),
         ),

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import cast
 
-from schemas import ROBOTS, Command, Control, Episode, Health, Layout, Players, Pose, Robot, Rules, Tick
+from schemas import REASON_LIMIT, ROBOTS, Command, Control, Episode, Health, Layout, Players, Pose, Robot, Rules, Tick
 from services.referee.declaration import DECLARATION
 from vantage.service import SECOND, Arrived, Changed, Publish, Received, Send, Unexpected, Woken
 from vantage.world.arena import CATCH_TOLERANCE
 
-REASON_LIMIT = 200
-"""Letters of a reason (`schemas.messages.ShortText`)."""
+SHARE = 110
+"""Letters of an abort's reason that one service's troubles may take."""
 
 _RESTARTED = "the referee was restarted; the setup of this game has its seed and rules"
 
@@ -44,6 +44,8 @@ class RefereeSettings:
     setup_patience: float = 10.0
     """Seconds to wait for the first poses of a game, since the world last said how the table stands (`layout`): a real table
     says it again and again while robots drive to their starts."""
+    setup_limit: float = 180.0
+    """Seconds that a set-up may take in all, however often the layout is said."""
     planning_patience: float = 30.0
     """Seconds to wait for the first commands: the hider paints its value map in this time."""
     command_patience: float = 1.0
@@ -84,6 +86,7 @@ class RefereeCore:
         self._poses: dict[str, Pose] = {}
         self._commanded: set[str] = set()
         self._ticked_at = 0
+        self._set_up_at = 0
         self._listening_since: int | None = None
         self._trouble_of_world: dict[str, str] = {}
 
@@ -104,7 +107,8 @@ class RefereeCore:
             if isinstance(message, Control):
                 return self._on_control(message, now)
             if isinstance(message, Layout) and self._phase is _Phase.SETUP and message.episode == self._number:
-                self._wake = now + int(self._settings.setup_patience * SECOND)
+                limit = self._set_up_at + int(self._settings.setup_limit * SECOND)
+                self._wake = min(now + int(self._settings.setup_patience * SECOND), limit)
             elif isinstance(message, Health):
                 self._trouble_of_world[message.service] = message.reason
             return ()
@@ -129,7 +133,7 @@ class RefereeCore:
             self._phase = _Phase.IDLE
             return self._begin_if_possible(now)
         if self._phase is _Phase.SETUP:
-            return self._abort(self._blame(f"no poses within {self._settings.setup_patience:g} s of the setup"), now)
+            return self._abort(self._blame(f"no poses {(now - self._set_up_at) / SECOND:.0f} s after the setup"), now)
         if self._phase is _Phase.PACING:
             return self._tick(self._step, now)
         if self._phase is _Phase.COMMANDS:
@@ -181,6 +185,7 @@ class RefereeCore:
         self._step = 0
         self._poses.clear()
         self._phase = _Phase.SETUP
+        self._set_up_at = now
         self._wake = now + int(self._settings.setup_patience * SECOND)
         return (self._episode("setup", now),)
 
@@ -247,8 +252,13 @@ class RefereeCore:
         return (episode,)
 
     def _blame(self, reason: str) -> str:
-        """Return a reason with what those who embody the robots last said of themselves: they owe the answer."""
-        troubles = [f"{service}: {trouble}" for service, trouble in self._trouble_of_world.items() if trouble]
+        """Return a reason with who is not alive, and what those who embody the robots last said: they owe the answer."""
+        gone = [names for names in self._settings.required if self._alive.isdisjoint(names.split("|"))]
+        troubles = [f"{names.replace('|', ' or ')} is not alive" for names in gone]
+        for service, trouble in self._trouble_of_world.items():
+            if trouble and service in self._alive:
+                said = f"{service}: {trouble}"
+                troubles.append(said if len(said) <= SHARE else said[: SHARE - 3] + "...")
         return "; ".join([reason, *troubles])[:REASON_LIMIT]
 
     def _rest(self, now: int) -> None:

@@ -12,5 +12,5 @@ DECLARATION = Declaration(
         *(f"health/{service}" for service in WORLD),
     ),
     outputs=("episode", "tick", "health/referee"),
-    heeds=("simulator|tracker", "seeker", "planner", "predictor", "recorder"),
+    heeds=("simulator|tracker", "simulator|robot|onboard", "seeker", "planner", "predictor", "recorder"),
 )

@@ -16,6 +16,7 @@ from vantage.service import Captured, Declaration, DeviceLost, Received, Runtime
 from vantage.service.device import DeviceThread
 
 PATIENCE = 10.0
+OPENED = Captured("camera", None, 0)
 
 
 @dataclass
@@ -69,9 +70,9 @@ def test_a_port_loses_no_line_and_keeps_their_order() -> None:
     for line in range(100):
         made.given.put(line)
     thread.start()
-    got = [events.get(timeout=PATIENCE) for _ in range(100)]
+    got = [events.get(timeout=PATIENCE) for _ in range(101)]
     thread.stop()
-    assert got == [Captured("camera", line, 7) for line in range(100)]
+    assert got == [OPENED, *(Captured("camera", line, 7) for line in range(100))]
     assert made.closed == 1
 
 
@@ -83,7 +84,7 @@ def test_a_camera_that_is_not_read_keeps_its_newest_frame_alone() -> None:
         made.given.put(frame)
     until(made.given.empty)
     until(lambda: thread._newest is not None and thread._newest.value == 19)
-    assert events.qsize() == 1 and events.get() is thread
+    assert events.qsize() == 2 and events.get() == OPENED and events.get() is thread
     assert thread.take() == Captured("camera", 19, 7)
     assert thread.take() is None
     made.given.put(20)
@@ -93,18 +94,32 @@ def test_a_camera_that_is_not_read_keeps_its_newest_frame_alone() -> None:
 
 def test_a_lost_device_is_told_of_and_opened_again() -> None:
     made, events = Made(newest_only=False, broken=2), queue.Queue[Any]()
-    thread = DeviceThread(made, events.put, lambda: 5)
+    thread = DeviceThread(made, events.put, lambda: 0)
     thread.start()
-    lost = Captured("camera", None, 5, "camera: not there, plug it in")
-    assert [events.get(timeout=PATIENCE) for _ in range(2)] == [lost, lost]
+    lost = Captured("camera", None, 0, "camera: not there, plug it in")
     made.given.put("a")
-    assert events.get(timeout=PATIENCE) == Captured("camera", "a", 7)
+    assert [events.get(timeout=PATIENCE) for _ in range(4)] == [lost, lost, OPENED, Captured("camera", "a", 7)]
     made.given.put(OSError("Input/output error"))  # a library may raise anything
-    assert events.get(timeout=PATIENCE) == Captured("camera", None, 5, "Input/output error")
     made.given.put("b")
-    assert events.get(timeout=PATIENCE) == Captured("camera", "b", 7)
+    again = [Captured("camera", None, 0, "Input/output error"), OPENED, Captured("camera", "b", 7)]
+    assert [events.get(timeout=PATIENCE) for _ in range(3)] == again
     thread.stop()
     assert made.opened == 4 and made.closed == 4
+
+
+def test_a_device_that_refuses_to_be_closed_is_opened_again() -> None:
+    made, events = Made(newest_only=False), queue.Queue[Any]()
+
+    def refuse() -> None:
+        raise RuntimeError("stop() cannot be called before start()")
+
+    made.close = refuse  # type: ignore[method-assign]
+    thread = DeviceThread(made, events.put, lambda: 0)
+    thread.start()
+    made.given.put(DeviceLost("gone"))
+    made.given.put("back")
+    assert [events.get(timeout=PATIENCE).value for _ in range(4)] == [None, None, None, "back"]
+    thread.stop()
 
 
 @dataclass
@@ -135,4 +150,5 @@ def test_a_core_hears_and_commands_its_devices_through_the_runtime(newest_only: 
     runtime.stop()
     running.join(PATIENCE)
     assert not running.is_alive() and made.closed == 1
-    assert core.received == [Captured("camera", b"ping", 7)]
+    assert core.received[1:] == [Captured("camera", b"ping", 7)]
+    assert isinstance(core.received[0], Captured) and core.received[0].value is None and not core.received[0].error

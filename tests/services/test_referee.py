@@ -229,29 +229,67 @@ def test_a_layout_renews_the_patience_of_the_set_up() -> None:
     assert isinstance(aborted, Episode) and aborted.phase == "aborted" and table.now == began + 55 * SECOND
 
 
-def trouble(reason: str, state: str = "degraded") -> Arrived:
-    health = Health(stamp=0, service="tracker", state=state, process=1, uptime=1.0, reason=reason)  # type: ignore[arg-type]
-    return Arrived("health/tracker", health)
+def test_a_set_up_has_an_end_however_often_the_layout_is_said() -> None:
+    table = Table(autoplay=True, games=1, setup_patience=10.0, setup_limit=60.0)
+    (setup,) = table.arrive()
+    began = table.now
+    while table.now < began + 59 * SECOND:
+        table.now += 2 * SECOND
+        table.send(Arrived("layout", Layout(stamp=table.now, episode=setup.episode)))  # type: ignore[attr-defined]
+    (aborted,) = table.wake()
+    assert isinstance(aborted, Episode) and aborted.phase == "aborted" and table.now == began + 60 * SECOND
+
+
+def trouble(service: str, reason: str, state: str = "degraded") -> Arrived:
+    health = Health(stamp=0, service=service, state=state, process=1, uptime=1.0, reason=reason)  # type: ignore[arg-type]
+    return Arrived(f"health/{service}", health)
+
+
+REAL = ("simulator|tracker", "simulator|robot|onboard", "seeker", "planner")
+
+
+def aborted_at_the_first_step(*received: object) -> str:
+    """Play up to step 0 on a real table, receive some events, and never see the next poses; return the reason."""
+    table = Table(autoplay=True, games=1)
+    table.core = RefereeCore(RefereeSettings(autoplay=True, games=1, rules=Rules(step_period=0.0), required=REAL))
+    table.wake()
+    table.wake()
+    for name in ("tracker", "robot", "seeker", "planner"):
+        table.send(Changed(name, True))
+    table.pose("hider", 0.2, 0)
+    table.pose("seeker", 0.6, 0)
+    for event in received:
+        table.send(event)
+    table.command("hider", 0)
+    table.command("seeker", 0)
+    (aborted,) = table.wake()
+    assert isinstance(aborted, Episode) and aborted.phase == "aborted" and aborted.outcome == "undecided"
+    return aborted.reason
 
 
 def test_an_aborted_game_says_what_those_who_embody_the_robots_complain_of() -> None:
-    table = Table(autoplay=True, games=1)
-    table.arrive()
-    table.send(trouble("no picture"))
-    table.send(trouble("overhead camera: no frame for 2.0 s"))
-    (aborted,) = table.wake()
-    assert aborted.reason == "no poses within 10 s of the setup; tracker: overhead camera: no frame for 2.0 s"  # type: ignore[attr-defined]
-    table = start()
-    table.send(trouble("x" * 500))
-    table.command("hider", 0)
-    table.command("seeker", 0)
-    (aborted,) = table.wake()
-    assert isinstance(aborted, Episode) and aborted.reason.startswith("step 0 was not executed within 3 s; tracker: xxx")
-    assert len(aborted.reason) == 200
-    table = start()
-    table.send(trouble("no frame"))
-    table.send(trouble("", "ok"))  # mended
-    table.command("hider", 0)
-    table.command("seeker", 0)
-    (aborted,) = table.wake()
-    assert aborted.reason == "step 0 was not executed within 3 s"  # type: ignore[attr-defined]
+    late = "step 0 was not executed within 3 s"
+    assert aborted_at_the_first_step() == late
+    lost = trouble("tracker", "overhead camera: no frame for 2.0 s")
+    said = aborted_at_the_first_step(trouble("tracker", "no picture"), lost)
+    assert said == f"{late}; tracker: overhead camera: no frame for 2.0 s"
+    assert aborted_at_the_first_step(lost, trouble("tracker", "", "ok")) == late
+
+
+def test_a_long_complaint_leaves_room_for_another() -> None:
+    reason = aborted_at_the_first_step(trouble("tracker", "x" * 500), trouble("robot", "the seeker does not answer"))
+    assert reason.endswith("xxx...; robot: the seeker does not answer") and len(reason) <= 200
+
+
+def test_who_is_gone_is_named_and_its_last_words_are_not_believed() -> None:
+    reason = aborted_at_the_first_step(trouble("robot", "all is well"), Changed("robot", False))
+    assert reason == "step 0 was not executed within 3 s; simulator or robot or onboard is not alive"
+
+
+def test_no_game_without_a_driver() -> None:
+    core = RefereeCore(RefereeSettings(autoplay=True, required=REAL, settle=0.0))
+    core.step(Woken(), 0)
+    core.step(Woken(), 0)
+    for name in ("tracker", "seeker", "planner"):
+        assert messages(core.step(Changed(name, True), 0)) == []
+    assert len(messages(core.step(Changed("robot", True), 0))) == 1

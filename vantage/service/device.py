@@ -23,9 +23,9 @@ class Captured:
 
     Attributes:
         device: its name.
-        value: what it gave; None where the device was lost or could not be opened.
+        value: what it gave; None where the device was lost or could not be opened, and once when it was opened.
         stamp: of the capture, ns since the Unix epoch.
-        error: why there is no value, for people.
+        error: why there is no value, for people; empty when the device was opened.
     """
 
     device: str
@@ -104,6 +104,7 @@ class DeviceThread:
             try:
                 self.device.open()
                 told = ""
+                self._post(Captured(self.device.name, None, self._clock()))
                 self._read_until_lost()
             except Exception as error:  # a device's library may raise anything; the service lives on
                 text = str(error) or type(error).__name__
@@ -111,9 +112,14 @@ class DeviceThread:
                     told = text
                     logger.warning("%s: %s", self.device.name, text)
                 self._post(Captured(self.device.name, None, self._clock(), text))
-            finally:
-                self.device.close()
+            self._close()
             self._stopping.wait(RETRY)
+
+    def _close(self) -> None:
+        try:
+            self.device.close()
+        except Exception as error:  # what is gone may refuse to be closed
+            logger.warning("%s could not be closed: %s", self.device.name, error)
 
     def _read_until_lost(self) -> None:
         while not self._stopping.is_set():

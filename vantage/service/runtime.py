@@ -36,6 +36,9 @@ STALE_PERIODS = 10
 STALE_MINIMUM = 2.5
 """An input is stale in a running real-time game when it is older than 10 of its periods, and than 2.5 s."""
 
+TROUBLE_LASTS = 10 * SECOND
+"""ns that health repeats what went wrong with one message."""
+
 LAST_WORDS = 1.0
 """Seconds that a raw service goes on with what has arrived before it was stopped."""
 MOST_INPUTS = 200
@@ -80,6 +83,7 @@ class Runtime:
     _unexpected: int = 0
     _failed: int = 0
     _trouble: str = ""
+    _troubled_at: int = 0
     _running_game: bool = False
     _alive: dict[str, bool] = field(default_factory=dict)
     _tokens: dict[int, tuple[str, int]] = field(default_factory=dict)
@@ -196,7 +200,8 @@ class Runtime:
             )
         if troubles and state == "ok":
             state = "degraded"
-        reason = "; ".join([*troubles, self._trouble] if self._trouble else troubles)
+        recent = self._trouble and now - self._troubled_at < TROUBLE_LASTS
+        reason = "; ".join([*troubles, self._trouble] if recent else troubles)
         return Health(
             stamp=now,
             service=self.core.declaration.name,
@@ -248,7 +253,7 @@ class Runtime:
         if topic is not None and sample.publisher not in topic.publishers:
             # A stranger's episode with an absurd number would make us deaf to the real ones.
             self._unexpected += 1
-            self._trouble = f"set aside: {sample.key} from {sample.publisher or 'a stranger'}, who may not publish it"
+            self._note(f"set aside: {sample.key} from {sample.publisher or 'a stranger'}, who may not publish it")
             return
         counts.last = now
         counts.publisher = sample.publisher
@@ -266,7 +271,10 @@ class Runtime:
 
     def _set_aside_malformed(self, sample: Sample, error: MalformedMessage) -> None:
         self._counts_of(sample).malformed += 1
-        self._trouble = f"{sample.key} from {sample.publisher or 'an unknown publisher'} was malformed: {error}"
+        self._note(f"{sample.key} from {sample.publisher or 'an unknown publisher'} was malformed: {error}")
+
+    def _note(self, trouble: str) -> None:
+        self._trouble, self._troubled_at = trouble, self.clock()
 
     def _handle_request(self, request: Request, now: int) -> None:
         counts = self._inputs.setdefault(request.key, _Input())
@@ -304,14 +312,14 @@ class Runtime:
                 self._send(send)
         except Unexpected as unexpected:
             self._unexpected += 1
-            self._trouble = f"set aside: {unexpected}"
+            self._note(f"set aside: {unexpected}")
             return False
         except Exception as error:  # a service never dies of a message
             if self._raw and isinstance(error, MalformedMessage) and type(received) is Sample:
                 self._set_aside_malformed(received, error)
                 return False
             self._failed += 1
-            self._trouble = f"{type(error).__name__}: {error}"
+            self._note(f"{type(error).__name__}: {error}")
             if time.monotonic() - self._last_failure_logged > 1.0:
                 self._last_failure_logged = time.monotonic()
                 logger.exception("%s: handling %s failed", self.core.declaration.name, type(received).__name__)
