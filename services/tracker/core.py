@@ -126,8 +126,9 @@ class TrackerCore:
                 self._calibrate(captured.value)
             return ()
         if captured.value is None:
-            self._cameras.lost(name, captured.error)
-            self._say_trouble(now)
+            if captured.error:  # else it has been opened
+                self._cameras.lost(name, captured.error)
+                self._say_trouble(now)
             return ()
         if name == OVERHEAD:
             return self._on_overhead(captured.value, captured.stamp, now)
