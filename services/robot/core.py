@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
-from schemas import PRIMITIVES, ROBOTS, Command, Episode, Layout, Tick, Track
+from schemas import PRIMITIVES, ROBOTS, Command, Control, Episode, Layout, Tick, Track
 from services.robot.declaration import DECLARATION
 from services.robot.driven_robot import DrivenRobot
 from services.robot.motion_control import Ended
@@ -53,7 +53,7 @@ class RobotCore:
         """What is wrong now, for people."""
         here = self._starting.trouble if self._starting is not None else self._trouble
         of_robots = [robot.trouble(self._now) for robot in self._robots.values()]
-        return "; ".join(text for text in (*of_robots, here) if text)
+        return "; ".join(dict.fromkeys(text for text in (*of_robots, here) if text))
 
     def wake_at(self) -> int | None:
         wakes: list[int | None] = [self._wake, self._starting.wake if self._starting is not None else None]
@@ -82,6 +82,10 @@ class RobotCore:
             return self._go_on(now)
         if isinstance(message, Episode):
             return self._on_episode(message, now)
+        if isinstance(message, Control) and message.action == "start":
+            for robot in self._robots.values():
+                robot.link.asked()
+            return self._go_on(now)
         return ()
 
     def _on_time(self, now: int) -> Sequence[Send]:

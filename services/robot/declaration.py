@@ -5,7 +5,7 @@ from vantage.service import Declaration
 
 DECLARATION = Declaration(
     name="robot",
-    inputs=("episode", "tick", "layout", *(f"{robot}/{part}" for part in ("command", "track") for robot in ROBOTS)),
+    inputs=("control", "episode", "tick", "layout", *(f"{robot}/{part}" for part in ("command", "track") for robot in ROBOTS)),
     outputs=(*(f"{robot}/motion" for robot in ROBOTS), "health/robot"),
     heeds=("referee", "tracker"),
 )

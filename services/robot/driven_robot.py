@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from schemas import Track
-from services.robot.link import Link
+from services.robot.link import DAMAGED_SHARE, Link
 from services.robot.motion_control import Ended, MotionControl, Target
 from services.robot.settings import RobotSettings
 from vantage.service import SECOND, Captured, Send
@@ -50,8 +50,9 @@ class DrivenRobot:
         if captured.error:
             self.link.unplugged = captured.error
             return self._fail_if_helpless(now)
-        if self.link.unplugged:
-            self.link.plugged(now)
+        if captured.value is None:
+            self.link.opened(now)
+            return [], None
         measurements = self.link.hear(captured.value, captured.stamp)
         for measurement in measurements:
             self.control.measure(measurement)
@@ -70,16 +71,21 @@ class DrivenRobot:
         return [self._send(*outcome, now)], None
 
     def clear(self, now: int) -> list[Send]:
-        """Clear a latched emergency stop whose button is released."""
-        return [self.link.clear(now)] if self.link.can_clear else []
+        """Clear a latched emergency stop if a person has asked for a game since."""
+        return [self.link.clear(now)] if self.link.may_clear else []
 
     def trouble(self, now: int) -> str:
         """Return what is wrong, for people; empty when nothing."""
-        trouble = self.link.trouble(now)
-        battery = self.link.battery
-        if not trouble and battery is not None and (self.link.low_battery or battery < self._low_battery):
-            return f"robot {self.link.robot}: battery at {battery:.1f} V, charge it"
-        return trouble
+        link = self.link
+        trouble = link.trouble(now)
+        if trouble:
+            return trouble
+        told = []
+        if link.damaged > DAMAGED_SHARE:
+            told.append(f"robot {link.robot}: {link.damaged:.0%} of its lines come damaged; look at its cable, or at its radio")
+        if link.battery is not None and (link.low_battery or link.battery < self._low_battery):
+            told.append(f"robot {link.robot}: battery at {link.battery:.1f} V, charge it")
+        return "; ".join(told)
 
     def _send(self, left: float, right: float, now: int) -> Send:
         line = self.link.set_speeds(left, right, now) if self.control.busy else self.link.stop(now)

@@ -13,7 +13,6 @@ from vantage.drive.protocol import (
     Acknowledgement,
     ClearEmergencyStop,
     LineReader,
-    Query,
     SetSpeeds,
     Stop,
     Telemetry,
@@ -27,6 +26,12 @@ SILENT_LINES = 5
 """Lines that must have gone unanswered for that, too: a driver that was held up itself blames nobody."""
 CLOCK_DRIFT = 1e-4
 """How much faster than ours a robot's clock may run, relatively."""
+JUMP = SECOND // 2
+"""ns by which a robot's clock may differ from what it should show; beyond, it was switched on again and counts from the start."""
+LINES = 200
+"""Lines received lately that are judged, ..."""
+DAMAGED_SHARE = 0.05
+"""... of which this share may be damaged."""
 
 
 class Measurement(NamedTuple):
@@ -62,7 +67,9 @@ class Link:
         self._telemetry: Telemetry | None = None
         self._heard_at: int | None = None  # telemetry
         self._sent_since_telemetry = 0
-        self._offset: int | None = None  # our clock minus the robot's, ns
+        self._offset = 0  # our clock minus the robot's, ns
+        self._lately: deque[bool] = deque(maxlen=LINES)  # whether a line received was damaged
+        self._may_clear = False
         self.last_sent: int | None = None
 
     @property
@@ -71,18 +78,32 @@ class Link:
         return (self._sequence - 1) % SEQUENCES
 
     @property
-    def damaged(self) -> int:
-        """Damaged lines received."""
-        return self._reader.damaged
+    def damaged(self) -> float:
+        """Share of the lines received lately that were damaged; 0 before there are enough of them."""
+        return sum(self._lately) / LINES if len(self._lately) == LINES else 0.0
 
     @property
     def emergency_stop(self) -> bool:
         return bool(self.flags & EMERGENCY_STOP)
 
     @property
+    def held(self) -> bool:
+        """Whether an emergency stop holds the robot: latched, or its button is pressed."""
+        return bool(self.flags & (EMERGENCY_STOP | BUTTON))
+
+    @property
     def can_clear(self) -> bool:
         """Whether an emergency stop is latched whose button is released."""
         return self.emergency_stop and not self.flags & BUTTON
+
+    @property
+    def may_clear(self) -> bool:
+        """Whether a person has asked for a game since that: only then it is cleared."""
+        return self._may_clear
+
+    def asked(self) -> None:
+        """Take note that a person asked for a game: it counts for a robot known to be latched, with its button released."""
+        self._may_clear = self.can_clear
 
     @property
     def low_battery(self) -> bool:
@@ -101,7 +122,10 @@ class Link:
     def hear(self, data: bytes, now: int) -> list[Measurement]:
         """Take bytes that came at a time (ns); return what was measured."""
         measurements = []
-        for line in self._reader.feed(data):
+        damaged = self._reader.damaged
+        lines = self._reader.feed(data)
+        self._lately.extend([True] * (self._reader.damaged - damaged) + [False] * len(lines))
+        for line in lines:
             if isinstance(line, Acknowledgement):
                 self._acknowledged(line)
             elif isinstance(line, Telemetry):
@@ -114,9 +138,13 @@ class Link:
         unheard = self._sent_since_telemetry >= SILENT_LINES and (self._heard_at is None or now - self._heard_at > SILENCE)
         return unanswered or unheard
 
-    def plugged(self, now: int) -> None:
-        """Take note that the port has been opened (again): what was sent before counts no more."""
+    def opened(self, now: int) -> None:
+        """Take note that the port has been opened (again): what was sent and heard before counts no more."""
         self.unplugged = ""
+        self._reader = LineReader()
+        self._lately.clear()
+        self._telemetry = None
+        self._may_clear = False
         self._unanswered.clear()
         self._sent_since_telemetry = 0
         self._heard_at = now
@@ -127,17 +155,15 @@ class Link:
             return self.unplugged
         if self.silent(now):
             return f"robot {self.robot} does not answer on {self.port}: is it switched on, is it the right port?"
-        if self.flags & BUTTON:
-            return f"robot {self.robot}: the emergency stop button is pressed; release it and start a new game"
-        if self.emergency_stop:
-            return f"robot {self.robot}: emergency stop; start a new game to clear it"
+        if self.held:
+            return f"emergency stop of robot {self.robot}: release it and ask for a game (`vantage play`)"
         return ""
 
     def _next(self) -> int:
         sequence, self._sequence = self._sequence, (self._sequence + 1) % SEQUENCES
         return sequence
 
-    def _say(self, line: SetSpeeds | Stop | ClearEmergencyStop | Query, now: int) -> Write:
+    def _say(self, line: SetSpeeds | Stop | ClearEmergencyStop, now: int) -> Write:
         self._unanswered.append((line.sequence, now))
         self._sent_since_telemetry += 1
         self.last_sent = now
@@ -147,22 +173,28 @@ class Link:
         if any(sequence == line.sequence for sequence, _ in self._unanswered):
             while self._unanswered.popleft()[0] != line.sequence:
                 pass
-            self.flags = line.flags
+            self._note(line.flags)
+
+    def _note(self, flags: int) -> None:
+        self.flags = flags
+        self._may_clear = self._may_clear and self.can_clear
 
     def _measured(self, line: Telemetry, now: int) -> Measurement:
         last, self._telemetry = self._telemetry, line
         since = self._heard_at if self._heard_at is not None else now
+        if now - since > SILENCE:
+            self._may_clear = False  # whether the button was pressed meanwhile, nobody can tell
         self._heard_at = now
         self._sent_since_telemetry = 0
-        self.flags = line.flags
+        self._note(line.flags)
         self.battery = line.battery / 1000.0
-        if last is None or line.milliseconds < last.milliseconds:
+        offset = now - 1_000_000 * line.milliseconds
+        if last is None or line.milliseconds < last.milliseconds or abs(offset - self._offset) > JUMP:
             # The first, or the robot was switched on again and counts from the start.
-            self._offset = now - 1_000_000 * line.milliseconds
+            self._offset = offset
             return Measurement(now, line.taken, 0, 0)
         # Lines come late by different times: the earliest tells most of the robot's clock.
-        patient = (self._offset or 0) + int(CLOCK_DRIFT * (now - since))
-        self._offset = min(patient, now - 1_000_000 * line.milliseconds)
+        self._offset = min(self._offset + int(CLOCK_DRIFT * (now - since)), offset)
         stamp = min(self._offset + 1_000_000 * line.milliseconds, now)
         return Measurement(stamp, line.taken, _difference(line.left, last.left), _difference(line.right, last.right))
 

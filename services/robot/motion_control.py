@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 
 from schemas import Track
 from services.robot.link import Measurement
-from services.robot.pose_estimate import Place, PoseEstimate, moved, wrapped
+from services.robot.pose_estimate import Place, PoseEstimate, moved
 from services.robot.settings import Control, Wheels
 from services.robot.wheel_model import WheelModel
 from vantage.service import SECOND
@@ -104,7 +104,7 @@ class MotionControl:
         self._phase = _Phase.IDLE
         self._target = Target(0.0, 0.0, None, 0, True, 0.0, 0.0)
         self._gear = 1
-        self._deadline = 0
+        self._deadline = self._latest = 0
         self._begun = self._stepped = 0
         self._pending: Result = "completed"
         self._reason = ""
@@ -123,6 +123,7 @@ class MotionControl:
         self._speed = self._control.speed if speed is None else speed
         self._begun = self._stepped = now
         self._deadline = now + int(target.patience * SECOND)
+        self._latest = self._deadline + int(self._control.blind * SECOND)
         self._window.clear()
         self._pending, self._reason = "completed", ""
         self._phase = _Phase.FACE if target.gear else _Phase.ALIGN
@@ -162,7 +163,7 @@ class MotionControl:
         left, right = turned[0] - left, turned[1] - right
         way = 0.5 * (abs(left + right) + abs(right - left))
         shown = math.hypot(track.x - before.x, track.y - before.y)
-        shown += 0.5 * self._wheels.axle_track * abs(wrapped(track.heading - before.heading))
+        shown += 0.5 * self._wheels.axle_track * abs(math.remainder(track.heading - before.heading, math.tau))
         if way > STUCK_WAY and shown < STUCK_SHARE * way:
             reason = f"the wheels turned by {1000 * way:.0f} mm, the robot by {1000 * shown:.0f} mm: something is in its way"
             self.fail("stuck", reason, now)
@@ -176,8 +177,9 @@ class MotionControl:
         unseen = now - max(self._begun, seen or 0)
         stale = seen is None or now - seen > self._control.unseen * SECOND
         if self._phase is not _Phase.ENDING and (stale or place is None):
-            self._deadline += now - self._stepped  # the time without sight does not count
-            if unseen > self._control.lost * SECOND:
+            # The time without sight does not count, up to a limit: others wait for the end of the step.
+            self._deadline = min(self._deadline + now - self._stepped, self._latest)
+            if unseen > self._control.lost * SECOND or now >= self._latest:
                 self.fail("lost", f"not seen by the overhead camera for {unseen / SECOND:.1f} s", now)
             self._stepped = now
             return 0.0, 0.0
@@ -222,7 +224,7 @@ class MotionControl:
                 return self._gear * left / response, off / (SLOW_TURN * response)
             self._phase = _Phase.ALIGN if target.precise else _Phase.SETTLE
         if self._phase is _Phase.ALIGN:
-            turn = 0.0 if target.heading is None else wrapped(target.heading - place.heading)
+            turn = 0.0 if target.heading is None else math.remainder(target.heading - place.heading, math.tau)
             if abs(turn) > 0.5 * control.heading_aim or abs(ahead) > 0.5 * control.distance_aim:
                 return ahead / response, turn / response
             self._phase = _Phase.SETTLE
@@ -285,5 +287,5 @@ def _in_robot_frame(place: Place, target: Target) -> tuple[float, float]:
 
 def _errors(place: Place, target: Target) -> tuple[float, float]:
     """Return the distance (m) and the heading error (rad, tracked minus wanted)."""
-    turn = 0.0 if target.heading is None else wrapped(place.heading - target.heading)
+    turn = 0.0 if target.heading is None else math.remainder(place.heading - target.heading, math.tau)
     return math.hypot(place.x - target.x, place.y - target.y), turn

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from services.robot.motion_control import Target
-from services.robot.pose_estimate import Place, wrapped
+from services.robot.pose_estimate import Place
 from vantage.world.arena import HEADINGS, ROBOT_RADIUS, TURN
 from vantage.world.search import CELL_SIZE, CELLS, cell_of, cost_to, find_path, shortest_path_tree
 from vantage.world.start import Placed
@@ -114,7 +114,7 @@ def _lines(waypoints: Floats, place: Place, goal: Place) -> list[Target]:
     if math.hypot(last_x - goal.x, last_y - goal.y) < 1e-6:
         corners = corners[:-1]
     else:
-        gear = 1 if abs(wrapped(math.atan2(goal.y - last_y, goal.x - last_x) - goal.heading)) < math.pi / 2 else -1
+        gear = 1 if math.cos(math.atan2(goal.y - last_y, goal.x - last_x) - goal.heading) > 0.0 else -1
     lines = []
     x, y = place.x, place.y
     for corner_x, corner_y, corner_gear in corners:
@@ -122,7 +122,7 @@ def _lines(waypoints: Floats, place: Place, goal: Place) -> list[Target]:
         lines.append(Target(corner_x, corner_y, None, corner_gear, False, PASSING, PATIENCE + length / SPEED))
         x, y = corner_x, corner_y
     length = math.hypot(goal.x - x, goal.y - y)
-    lines.append(Target(goal.x, goal.y, wrapped(goal.heading), gear, True, ARRIVING, PATIENCE + length / SPEED))
+    lines.append(Target(goal.x, goal.y, math.remainder(goal.heading, math.tau), gear, True, ARRIVING, PATIENCE + length / SPEED))
     return lines
 
 
@@ -139,7 +139,9 @@ class Placing:
 
     def __init__(self, arena: Arena, starts: Mapping[str, Placed]) -> None:
         self._arena = arena
-        self._waiting = {robot: Place(x, y, wrapped(heading * TURN)) for robot, (x, y, heading) in starts.items()}
+        self._waiting = {
+            robot: Place(x, y, math.remainder(heading * TURN, math.tau)) for robot, (x, y, heading) in starts.items()
+        }
         self._lines: list[Target] = []
         self._parking = False
         self.moving: str | None = None

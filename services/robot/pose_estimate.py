@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from schemas import Track
 from services.robot.settings import Control, Wheels
+from vantage.service import SECOND
 
-_SECOND = 1_000_000_000
 KEPT = 128
 """Dead reckoned poses kept: 2.5 s of telemetry, longer than any picture is late."""
 
@@ -46,11 +46,6 @@ class _Reckoned:
     heading: float
     left: float
     right: float
-
-
-def wrapped(angle: float) -> float:
-    """Return an angle as rad in [-pi, pi]."""
-    return math.remainder(angle, math.tau)
 
 
 def moved(place: Place, ahead: float, turn: float) -> Place:
@@ -123,7 +118,7 @@ class PoseEstimate:
         distance_noise = max(0.5 * (xx + yy), self._control.track_distance**2) + (BLUR * speed) ** 2
         heading_noise = max(hh, self._control.track_heading**2) + (BLUR * rate) ** 2
         away_x, away_y = track.x - then.x, track.y - then.y
-        turned = wrapped(track.heading - then.heading)
+        turned = math.remainder(track.heading - then.heading, math.tau)
         surprising = away_x * away_x + away_y * away_y > SURPRISE**2 * (
             self._distance_variance + distance_noise
         ) or turned * turned > SURPRISE**2 * (self._heading_variance + heading_noise)
@@ -161,7 +156,7 @@ class PoseEstimate:
         before, after, share = self._around(stamp)
         x, y = before.x + share * (after.x - before.x), before.y + share * (after.y - before.y)
         heading = before.heading + share * (after.heading - before.heading)
-        span = (after.stamp - before.stamp) / _SECOND
+        span = (after.stamp - before.stamp) / SECOND
         if span <= 0.0:
             return Place(x, y, heading), 0.0, 0.0
         speed = math.hypot(after.x - before.x, after.y - before.y) / span

@@ -20,6 +20,10 @@ AGAIN = SECOND // 4
 """ns between two attempts to find a way, or to see the robots."""
 PATIENCE = 9 * SECOND
 """ns without progress after which the game is given up."""
+LIMIT = 60 * SECOND
+"""ns after which it is given up whatever progress there is: a robot may drive and be stuck again and again."""
+ASKING = SECOND
+"""ns that the wish for a game, which a person said, may be heard later than the game that it led to."""
 
 
 @dataclass(slots=True)
@@ -48,11 +52,8 @@ class Starting:
     _placing: Placing | None = None
     _starts: dict[str, Placed] | None = None
     _progress: int = 0
-    _to_clear: frozenset[str] = frozenset()
-
-    def __post_init__(self) -> None:
-        # A new game is asked for: that clears an emergency stop whose button has been released.
-        self._to_clear = frozenset(name for name, robot in self.robots.items() if robot.link.can_clear)
+    _begun: int = 0
+    _failure: str = ""
 
     @property
     def starts(self) -> dict[str, Placed] | None:
@@ -65,13 +66,16 @@ class Starting:
             self._draw(layout, now)
         if self._placing is None or self.given_up:
             return []
-        if self._placing.done or self._placing.moving is not None:
+        if self._placing.done:
             return []
-        self.wake = None
-        latched = [robot for name, robot in self.robots.items() if name in self._to_clear and robot.link.emergency_stop]
-        if latched:
-            self._try_later(now)
-            return [send for robot in latched for send in robot.clear(now)]
+        if now - self._begun >= LIMIT:
+            return self._give_up(now)
+        self.wake = self._begun + LIMIT
+        if self._placing.moving is not None:
+            return []
+        held = [robot for robot in self.robots.values() if robot.link.held]
+        if held:
+            return self._clear(held, now)
         places = self._places(now)
         missing = [robot for robot in ROBOTS if robot not in places]
         self.trouble = f"the overhead camera does not see {' and '.join(missing)}" if missing else self._placing.plan(places)
@@ -88,7 +92,7 @@ class Starting:
             self._progress = now
             self._placing.arrived()
             return self._drive(now) if self._placing.moving is not None else self.go_on(None, now)
-        self.trouble = f"robot {self._placing.moving} did not get to its start: {ended.result}, {ended.reason}"
+        self.trouble = self._failure = f"{self._where_it_is(self._placing.moving)}: {ended.result}, {ended.reason}"
         self._placing.interrupted()
         self._try_later(now)
         return []
@@ -104,7 +108,7 @@ class Starting:
         starts = dict(zip(ROBOTS, drawn, strict=True))
         self._starts = {robot: starts[robot] for robot in ROBOTS if robot in self.robots}
         self._placing = Placing(Arena(boxes, layout.width, layout.depth), self._starts)
-        self._progress = now
+        self._progress = self._begun = now
 
     def _drive(self, now: int) -> list[Send]:
         assert self._placing is not None and self._placing.moving is not None
@@ -120,6 +124,31 @@ class Starting:
             self.given_up = True
         else:
             self.wake = now + AGAIN
+
+    def _clear(self, held: list[DrivenRobot], now: int) -> list[Send]:
+        """Clear emergency stops if a person has asked for a game since; the next of ten games asked for before does not."""
+        kept = [robot.link.trouble(now) for robot in held if not robot.link.may_clear]
+        self.trouble = "; ".join(kept)
+        if kept and now - self.since > ASKING:
+            self.given_up = True
+            return []
+        self._try_later(now)
+        return [] if kept else [send for robot in held for send in robot.clear(now)]
+
+    def _give_up(self, now: int) -> list[Send]:
+        """Stop trying, and say who stands where."""
+        assert self._placing is not None
+        moving, self.given_up, self.wake = self._placing.moving, True, None
+        if not self.trouble:
+            slow = "" if moving is None else f"{self._where_it_is(moving)}: not there within {LIMIT // SECOND} s"
+            self.trouble = self._failure or slow
+        self._placing.interrupted()
+        return [] if moving is None else self.robots[moving].halt(now)
+
+    def _where_it_is(self, robot: str) -> str:
+        found = self.where(robot)
+        place = "" if found is None else f" and stands at ({found[0].x:.2f}, {found[0].y:.2f}) m"
+        return f"robot {robot} did not get to its start{place}"
 
     def _places(self, now: int) -> dict[str, Place]:
         """Return where the robots are that were seen lately."""

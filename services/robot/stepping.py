@@ -8,10 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from schemas import PRIMITIVES, ROBOTS, Layout, Motion
+from schemas import PRIMITIVES, REASON_LIMIT, ROBOTS, Layout, Motion
 from services.robot.driven_robot import DrivenRobot
 from services.robot.motion_control import Ended, Target
-from services.robot.pose_estimate import Place, wrapped
+from services.robot.pose_estimate import Place
 from services.robot.settings import Control
 from vantage.service import SECOND, Publish, Send
 from vantage.world.arena import BACKWARD, FORWARD, STAY
@@ -22,8 +22,6 @@ from vantage.world.motion import heading_number, heading_radians
 Reference = tuple[float, float, float]
 """Where a robot ought to be: x, y (m) and heading number."""
 
-REASON_LIMIT = 200
-"""Letters of a reason (`schemas.messages.ShortText`)."""
 _RESTARTED = "the driver was restarted while this step may have been under way; the robot stays where it is"
 
 
@@ -46,7 +44,7 @@ class Stepping:
 
     Attributes:
         step: at which the robots stand; None: not known yet.
-        commands: of this step, by robot.
+        commands: of this step, by robot; kept until its motions have ended, so that a late one is known for what it is.
     """
 
     def __init__(self, robots: Mapping[str, DrivenRobot], control: Control, where: Callable[[str], Place | None]) -> None:
@@ -93,7 +91,6 @@ class Stepping:
             return ()
         anchored = {robot: self._references.get(robot) or self._anchor(robot) for robot in ROBOTS}
         primitives = np.array([self.commands[robot] for robot in ROBOTS], np.int64)
-        self.commands.clear()
         # A robot that was never seen stands nowhere: the other one is judged without it.
         poses = np.array([anchored[robot] or (np.nan, np.nan, 0.0) for robot in ROBOTS], np.float64)
         wanted, moved = np.empty((2, 3)), np.empty(2, np.bool_)
@@ -133,6 +130,7 @@ class Stepping:
         motion = self._motion(robot, move.primitive, ended, self.step + 1, now, now - move.begun)
         if not self._moves:
             self.step += 1
+            self.commands.clear()
         return [motion]
 
     def _target_of(self, move: _Move) -> Target:
@@ -151,7 +149,8 @@ class Stepping:
         if place is None:
             return 0.0, 0.0
         x, y, heading = self._references[robot]
-        return min(math.hypot(place.x - x, place.y - y), 100.0), wrapped(place.heading - heading_radians(int(heading)))
+        turn = math.remainder(place.heading - heading_radians(int(heading)), math.tau)
+        return min(math.hypot(place.x - x, place.y - y), 100.0), turn
 
     def _motion(self, robot: str, primitive: int, ended: Ended, step: int, now: int, elapsed: int) -> Send:
         battery = self._robots[robot].link.battery

@@ -7,8 +7,8 @@ from collections import deque
 from dataclasses import dataclass
 
 from services.robot.settings import Wheels
+from vantage.service import SECOND
 
-_SECOND = 1_000_000_000
 UNEVEN_MEMORY = 0.05
 """Share that a line has in the running mean of how unevenly they come."""
 TRUST = 0.5
@@ -35,7 +35,7 @@ class WheelModel:
 
     def __init__(self, wheels: Wheels) -> None:
         self._lag = wheels.lag
-        self._dead_time = int(2.0 * wheels.line_latency * _SECOND)  # stamps of measurements are of their arrival
+        self._dead_time = int(2.0 * wheels.line_latency * SECOND)  # stamps of measurements are of their arrival
         self._told: deque[_Told] = deque(maxlen=128)
         self._speeds = (0.0, 0.0)
         self._measured: int | None = None
@@ -65,7 +65,7 @@ class WheelModel:
         acted_since, self._acted_until = self._acted_until, self._acted(stamp, taken)
         if since is None or stamp <= since:
             return
-        span = (stamp - since) / _SECOND
+        span = (stamp - since) / SECOND
         targets = self._mean_told(acted_since, self._acted_until)
         decay = math.exp(-span / self._lag) if self._lag > 0.0 else 0.0
         speeds = []
@@ -88,7 +88,7 @@ class WheelModel:
         for index, told in enumerate(self._told):
             if told.sequence == self._taken and index + 1 < len(self._told):
                 meant = self._told[index + 1].since - told.since
-                excess = max(stamp - self._taken_at - meant, 0) / _SECOND
+                excess = max(stamp - self._taken_at - meant, 0) / SECOND
                 self._excess_square += UNEVEN_MEMORY * (excess * excess - self._excess_square)
                 break
         self._taken, self._taken_at = taken, stamp
@@ -110,14 +110,14 @@ class WheelModel:
             told = [told for told in self._told if told.since <= until]
             return (told[-1].left, told[-1].right) if told else (0.0, 0.0)
         left, right = self._turned(since, until)
-        return left * _SECOND / (until - since), right * _SECOND / (until - since)
+        return left * SECOND / (until - since), right * SECOND / (until - since)
 
     def _turned(self, since: int, until: int) -> tuple[float, float]:
         """Return the integral of what the wheels were told between two times, m."""
         left = right = 0.0
         end = until
         for told in reversed(self._told):
-            span = (end - max(told.since, since)) / _SECOND
+            span = (end - max(told.since, since)) / SECOND
             if span > 0.0:
                 left += told.left * span
                 right += told.right * span

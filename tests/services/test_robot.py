@@ -7,11 +7,12 @@ from collections.abc import Sequence
 
 import pytest
 
-from schemas import ROBOTS, Box, Command, Episode, Layout, Motion, Primitive, Tick
+from schemas import ROBOTS, Box, Command, Control, Episode, Layout, Motion, Primitive, Tick
 from services.robot.core import RobotCore
+from services.robot.link import Link
 from services.robot.settings import RobotSettings
 from tests.drive.emulated import EmulatedTable, TrackerSettings, driver
-from vantage.drive.protocol import EmergencyStop, LineReader, SetSpeeds, encode
+from vantage.drive.protocol import EMERGENCY_STOP, EmergencyStop, LineReader, SetSpeeds, Telemetry, encode
 from vantage.rehearsal.firmware import FirmwareSettings
 from vantage.service import SECOND, Captured, Woken, Write
 from vantage.world.layout import LAB
@@ -107,6 +108,24 @@ def test_a_start_that_cannot_be_reached_is_said_and_the_game_given_up() -> None:
     assert "no way" in table.motions[0][1].reason
 
 
+def test_a_robot_that_goes_on_and_is_stuck_again_and_again_does_not_keep_people_waiting_for_ever() -> None:
+    """At a post that no tag tells of: every new plan begins with a line back to the grid, which it can drive."""
+    _, (seeker_x, seeker_y, _) = draw_start(EmulatedTable(obstacles=LAB).boxes, 1.2, 1.2, SEED, 0.25, 0.45)
+    table = EmulatedTable(places=((0.12, 0.12, 0.3), (seeker_x, seeker_y, 0.0)), obstacles=LAB)
+    post = Box(x=0.4647, y=0.5212, half_width=0.02, half_depth=0.02)
+    table.boxes = EmulatedTable(obstacles=(*LAB, post)).boxes
+    table.set_up(seed=SEED)
+    began = table.now
+    assert table.run(lambda: len(table.motions) == 2, 61.0), "still trying"
+    assert table.now - began > 30 * SECOND  # it was no lack of progress
+    x, y, _ = table.place_of("hider")
+    for _, motion in table.motions:
+        assert (motion.step, motion.result) == (0, "stopped")
+        assert f"robot hider did not get to its start and stands at ({x:.2f}, {y:.2f}) m: stuck" in motion.reason
+    table.run(lambda: False, 1.0)
+    assert all(abs(body.left_speed) < 0.001 for body in table.bodies.values())
+
+
 def test_a_move_into_a_wall_is_refused_and_not_begun() -> None:
     table = at_start()
     steps = 0
@@ -151,22 +170,106 @@ def test_a_robot_whose_wheels_do_not_turn_times_out() -> None:
     assert motions["seeker"].result == "completed" and motions["seeker"].elapsed < 0.8
 
 
-def test_an_emergency_stop_stops_and_a_new_game_clears_it_once_the_button_is_released() -> None:
+def ask_for_games(table: EmulatedTable, games: int = 1) -> None:
+    table.say("control", Control(stamp=table.now, action="start", games=games))
+
+
+def latch(table: EmulatedTable) -> None:
+    """Press and release the hider's button."""
+    for pressed in (True, False):
+        table.firmwares["hider"].button = pressed
+        table.run(lambda: False, 0.2)
+
+
+HELD = "emergency stop of robot hider: release it and ask for a game (`vantage play`)"
+
+
+def test_an_emergency_stop_is_cleared_when_a_person_asks_for_a_game_once_the_button_is_released() -> None:
     table = at_start()
     table.firmwares["hider"].button = True
     table.run(lambda: False, 0.1)
     motions = play(table, "forward", "forward")
-    assert motions["hider"].result == "stopped" and "emergency stop button" in motions["hider"].reason
+    assert (motions["hider"].result, motions["hider"].reason) == ("stopped", HELD)
     assert motions["seeker"].result == "completed"
-    assert "emergency stop" in table.core.trouble
+    assert table.core.trouble == HELD
     table.firmwares["hider"].button = False
     table.run(lambda: False, 0.3)
-    assert "start a new game" in table.core.trouble  # released is not cleared
+    assert table.core.trouble == HELD  # released is not cleared
     table.motions.clear()
+    ask_for_games(table)
     table.set_up(number=2, seed=SEED)
     assert table.run(lambda: len(table.motions) == 2, 20.0)
     assert {motion.result for _, motion in table.motions} == {"completed"}
     assert table.core.trouble == ""
+
+
+def test_the_next_of_ten_games_asked_for_before_it_does_not_clear_an_emergency_stop() -> None:
+    table = at_start()
+    ask_for_games(table, games=10)
+    latch(table)
+    before = {robot: table.place_of(robot) for robot in ROBOTS}
+    for number in (2, 3):
+        table.motions.clear()
+        table.set_up(number=number, seed=SEED + 1)
+        assert table.run(lambda: len(table.motions) == 2, 3.0)
+        assert {(motion.step, motion.result, motion.reason) for _, motion in table.motions} == {(0, "stopped", HELD)}
+        table.say("episode", Episode(stamp=table.now, episode=number, seed=SEED + 1, phase="aborted"))
+    assert table.firmwares["hider"].flags & EMERGENCY_STOP
+    assert all(math.dist(before[robot][:2], table.place_of(robot)[:2]) < 0.0005 for robot in ROBOTS)
+    assert table.core.trouble == HELD
+
+
+@pytest.mark.parametrize("pressed_again", [False, True])
+def test_who_asks_while_the_button_is_pressed_or_before_it_is_pressed_again_must_ask_again(pressed_again: bool) -> None:
+    table = at_start()
+    if pressed_again:
+        latch(table)
+        ask_for_games(table)
+        latch(table)
+    else:
+        table.firmwares["hider"].button = True
+        table.run(lambda: False, 0.2)
+        ask_for_games(table)
+        table.firmwares["hider"].button = False
+        table.run(lambda: False, 0.2)
+    table.motions.clear()
+    table.set_up(number=2, seed=SEED)
+    assert table.run(lambda: len(table.motions) == 2, 3.0)
+    assert {motion.result for _, motion in table.motions} == {"stopped"}
+    assert table.firmwares["hider"].flags & EMERGENCY_STOP
+
+
+@pytest.mark.parametrize("silent_when_asked", [False, True])
+def test_who_asks_while_the_robot_is_out_of_reach_or_before_must_ask_again(silent_when_asked: bool) -> None:
+    """Somebody may have pressed the button meanwhile."""
+    table = at_start()
+    latch(table)
+    if not silent_when_asked:
+        ask_for_games(table)
+    table.firmwares["hider"].powered = False
+    table.run(lambda: False, 1.0)
+    if silent_when_asked:
+        ask_for_games(table)
+    table.firmwares["hider"].powered = True
+    table.run(lambda: False, 0.3)
+    table.motions.clear()
+    table.set_up(number=2, seed=SEED)
+    assert table.run(lambda: len(table.motions) == 2, 3.0)
+    assert {motion.result for _, motion in table.motions} == {"stopped"}
+    assert table.firmwares["hider"].flags & EMERGENCY_STOP
+
+
+def test_the_wish_may_be_heard_just_after_the_game_it_led_to_and_the_wish_to_stop_is_none() -> None:
+    table = at_start()
+    latch(table)
+    table.motions.clear()
+    table.say("control", Control(stamp=table.now, action="stop"))
+    table.set_up(number=2, seed=SEED)
+    table.run(lambda: False, 0.4)
+    assert table.firmwares["hider"].flags & EMERGENCY_STOP and table.motions == []
+    ask_for_games(table)
+    assert table.run(lambda: len(table.motions) == 2, 20.0)
+    assert {motion.result for _, motion in table.motions} == {"completed"}
 
 
 def test_an_emergency_stop_in_mid_motion_ends_it() -> None:
@@ -201,6 +304,24 @@ def test_a_robot_that_is_not_seen_stops_and_is_lost_but_a_short_while_does_no_ha
     assert 1.9 < motion.elapsed < 2.6
 
 
+@pytest.mark.parametrize("sights", [(), (0.9,), (1.3,), (0.4, 1.2), (0.7, 1.3, 1.9)])
+def test_a_step_is_over_before_the_referee_gives_up_however_the_sight_comes_and_goes(sights: tuple[float, ...]) -> None:
+    """The worst robot: its wheels do not turn. Seen at the given times (s) only, if at all."""
+    table = at_start()
+    table.firmwares["hider"].body.settings = type(table.bodies["hider"].settings)(fastest=1e-6)
+    began = table.now
+    table.say("hider/command", Command(stamp=table.now, episode=1, step=0, primitive="forward"))
+    table.say("seeker/command", Command(stamp=table.now, episode=1, step=0, primitive="stay"))
+
+    def reported() -> bool:
+        since = (table.now - began) / SECOND
+        (table.silent.discard if any(0.0 <= since - sight < 0.06 for sight in sights) else table.silent.add)("hider")
+        return len(table.motions) == 2
+
+    assert table.run(reported, 2.6), "a step takes too long"
+    assert dict(table.motions)["hider"].result in ("lost", "timed-out")
+
+
 def test_a_robot_that_is_dead_is_named_and_the_other_goes_on() -> None:
     table = at_start()
     table.firmwares["hider"].powered = False
@@ -215,12 +336,62 @@ def test_a_robot_that_is_dead_is_named_and_the_other_goes_on() -> None:
     assert table.core.trouble == ""
 
 
-def test_an_unplugged_port_is_named_until_it_is_back() -> None:
+def test_an_unplugged_port_is_named_until_it_is_open_again_and_then_a_robot_that_does_not_answer() -> None:
     table = at_start()
+    table.firmwares["hider"].powered = False
     table.give(Captured("hider", None, table.now, "robot hider: /dev/x was unplugged"))
+    table.run(lambda: False, 1.0)
     assert table.core.trouble == "robot hider: /dev/x was unplugged"
-    table.run(lambda: False, 0.1)  # the emulated one still speaks: it is back
+    table.give(Captured("hider", None, table.now))  # opened
     assert table.core.trouble == ""
+    table.run(lambda: False, 1.0)
+    assert "robot hider does not answer on pty-hider" in table.core.trouble
+    table.firmwares["hider"].powered = True
+    table.run(lambda: False, 0.5)
+    assert table.core.trouble == ""
+
+
+@pytest.mark.parametrize("opened", [True, False])
+def test_a_robot_switched_on_again_does_not_jump_although_its_clock_is_ahead_of_its_last_word(opened: bool) -> None:
+    """Silent for a minute, it then shows a later time than it last did, and counts from the start."""
+    link = Link("hider", "/dev/x")
+    now = 10**15
+    for index in range(10):
+        now += SECOND // 50
+        link.hear(encode(Telemetry(index, 8000 + 20 * index, 0, 100_000 + 7 * index, -50_000, 8000, 0)), now)
+    now += 60 * SECOND
+    if opened:
+        link.opened(now)
+    (first,) = link.hear(encode(Telemetry(0, 9000, 0, 3, 4, 8000, 0)), now)
+    (second,) = link.hear(encode(Telemetry(1, 9020, 0, 5, 4, 8000, 0)), now + SECOND // 50)
+    assert (first.left, first.right, first.stamp) == (0, 0, now)
+    assert (second.left, second.right) == (2, 0)
+    assert second.stamp == pytest.approx(now + SECOND // 50, abs=1_000_000)
+
+
+def test_a_port_opened_again_forgets_what_was_measured_before() -> None:
+    """At once, with a clock that goes on as it should: the counts are another robot's."""
+    link = Link("hider", "/dev/x")
+    now = 10**15
+    link.hear(encode(Telemetry(0, 8000, 0, 100_000, -50_000, 8000, 0)), now)
+    link.hear(b"$T,1*0000\n" * 200 + b"$T,1,80", now)
+    assert link.damaged == 1.0
+    link.opened(now + SECOND // 10)
+    assert link.damaged == 0.0
+    (first,) = link.hear(encode(Telemetry(0, 8100, 0, 3, 4, 8000, 0)), now + SECOND // 10)
+    assert (first.left, first.right) == (0, 0)
+    link.hear(encode(Telemetry(1, 8120, 0, 3, 4, 8000, 0)) * 198, now + SECOND // 8)
+    assert link.damaged == 0.0  # nor does the torn line count
+
+
+def test_a_cable_that_damages_many_lines_is_trouble_and_one_that_damages_few_is_not() -> None:
+    bad, good = EmulatedTable(firmware=FirmwareSettings(damaged=0.15)), EmulatedTable(firmware=FirmwareSettings(damaged=0.01))
+    for table in (bad, good):
+        table.run(lambda: False, 6.0)
+    for robot in ROBOTS:
+        assert f"robot {robot}: " in bad.core.trouble
+    assert "of its lines come damaged" in bad.core.trouble
+    assert good.core.trouble == ""
 
 
 def test_a_low_battery_is_trouble_and_the_voltage_is_in_every_report() -> None:
@@ -249,6 +420,24 @@ def test_a_late_robot_stays_and_the_other_moves() -> None:
     assert table.run(lambda: len(table.motions) == 2, 2.0)
     assert {name: motion.primitive for name, motion in table.motions} == {"hider": "stay", "seeker": "left"}
     assert {motion.step for _, motion in table.motions} == {1}
+
+
+def test_a_late_tick_or_a_second_command_in_mid_motion_does_not_command_the_next_step() -> None:
+    table = at_start()
+    for robot in ROBOTS:
+        table.say(f"{robot}/command", Command(stamp=table.now, episode=1, step=0, primitive="forward"))
+    table.run(lambda: False, 0.1)
+    assert table.motions == []
+    table.say("tick", Tick(stamp=table.now, episode=1, step=0, late=("hider",)))
+    table.say("seeker/command", Command(stamp=table.now, episode=1, step=0, primitive="forward"))
+    assert table.unexpected == 1
+    assert table.run(lambda: len(table.motions) == 2, 3.0)
+    motions = play(table, "left", "right", step=1)
+    assert table.unexpected == 1
+    assert {name: (motion.primitive, motion.result) for name, motion in motions.items()} == {
+        "hider": ("left", "completed"),
+        "seeker": ("right", "completed"),
+    }
 
 
 def test_commands_of_another_step_or_game_are_set_aside() -> None:

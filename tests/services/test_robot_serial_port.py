@@ -197,7 +197,8 @@ def test_primitives_over_a_real_pseudo_terminal_and_a_cable_pulled_in_mid_game(t
         table.give(Arrived("layout", Layout(stamp=steady_clock(), episode=1)))
         assert table.run(lambda: len(table.motions) == 1, 10.0), table.core.trouble
         pose = np.array([[x, y, heading], [0.9, 0.9, 0.0]])
-        for step, primitive in enumerate(("forward", "left", "backward", "right", "stay")):
+        primitives: tuple[Primitive, ...] = ("forward", "left", "backward", "right", "stay")
+        for step, primitive in enumerate(primitives):
             step_both(table, step, primitive)
             assert table.run(lambda wanted=step + 2: len(table.motions) == wanted, 4.0), table.core.trouble  # type: ignore[misc]
             move_both(NOTHING, 1.2, 1.2, pose, np.array([PRIMITIVES.index(primitive), STAY]), pose, np.empty(2, np.bool_))
