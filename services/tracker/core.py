@@ -10,27 +10,26 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import numpy.typing as npt
 
-from schemas import ROBOTS, Box, ColorImage, DepthImage, Episode, Layout, Message, Motion, Track
-from services.tracker.capture import Picture, RawFrame, StepCapture
+from schemas import ROBOTS, ColorImage, DepthImage, Episode, Message, Motion, Tick, Track
+from services.tracker.capture import Picture, RawFrame, StepCapture, believed
 from services.tracker.declaration import DECLARATION
+from services.tracker.table_layout import TableLayout
 from services.tracker.watch import PATIENCE_AT_REST, CameraWatch
 from vantage.service import SECOND, Arrived, Captured, Publish, Received, Send, StepJoin, Unexpected
 from vantage.tracking.calibration import Calibration
-from vantage.tracking.overhead import Observation, OverheadTracker, TrackState
+from vantage.tracking.overhead import OverheadTracker, TrackState
 from vantage.tracking.rgbd import RgbdCalibration, RgbdPreparer
 from vantage.tracking.table import Table
 
 CHECK_PERIOD = SECOND // 4
 LAYOUT_PERIOD = 2 * SECOND
 """While robots drive to their starts the layout is said again and again: each time renews the referee's patience."""
-SETTLING = SECOND
-"""After the first search of the whole picture, boxes are found one by one; there is no layout until none has come for so long."""
-MOVED = 0.010
-TURNED = math.radians(4.0)
-"""A box is news when it is seen this far from where it was published, m and rad; less is the camera's noise."""
+RESUMING = 3 * SECOND // 10
+"""A tracker that comes into a running game waits so long for the tick that tells it which step is out already."""
 
 OVERHEAD = "overhead camera"
 CALIBRATION = "calibration"
@@ -70,12 +69,11 @@ class TrackerCore:
         self._motions = StepJoin(tuple(f"{robot}/motion" for robot in ROBOTS))
         self._capture: StepCapture | None = None
         self._failure = ""
-        self._boxes: tuple[Box, ...] | None = None
-        self._found: tuple[int, int] | None = None  # since when (ns) there are so many boxes
-        self._published: Layout | None = None
         self._layout_due: int | None = None
-        self._tracks: tuple[int, dict[str, TrackState | None]] = (0, {})
-        self._frames: dict[str, RawFrame] = {}
+        self._resumed = 0  # until when (ns) motions are put aside
+        self._put_aside: tuple[Message, ...] | None = None
+        self._ticked = (0, -1)  # episode and step of the latest tick: the step's poses are out
+        self._driver_trouble = ""
         self._halves: dict[str, dict[type[Message], Any]] = {robot: {} for robot in ROBOTS}
         self._cameras = CameraWatch((OVERHEAD, *(f"{robot} camera" for robot in ROBOTS)), "no frame")
         self._troubles_seen: tuple[str, ...] = ()
@@ -86,6 +84,9 @@ class TrackerCore:
     def _calibrate(self, calibrated: Calibrated) -> None:
         self._calibrated = calibrated
         self._overhead = OverheadTracker(calibrated.table, calibrated.overhead)
+        self._layout = TableLayout(calibrated.table)
+        self._tracks: tuple[int, dict[str, TrackState | None]] = (0, {})
+        self._frames: dict[str, RawFrame] = {}
         tags = calibrated.table.robots
         self._tag_names: dict[str, str] = {robot: f"{robot}'s tag {tags[robot].id}" for robot in ROBOTS}
         self._tags = CameraWatch(self._tag_names.values(), "not seen from above")
@@ -94,7 +95,7 @@ class TrackerCore:
         self._calibration_trouble = ""
 
     def wake_at(self) -> int | None:
-        return self._check_at
+        return self._check_at if self._put_aside is None else min(self._check_at, self._resumed)
 
     def step(self, received: Received, now: int) -> Sequence[Send]:
         if isinstance(received, Arrived):
@@ -109,6 +110,8 @@ class TrackerCore:
             return self._on_episode(message, now)
         if isinstance(message, Motion):
             return self._on_motion(key, message, now)
+        if isinstance(message, Tick):
+            return self._on_tick(message)
         if isinstance(message, DepthImage):
             return self._on_half(robot, message, _depth_of(message), now)
         if isinstance(message, ColorImage):
@@ -147,25 +150,47 @@ class TrackerCore:
         known = self._episode is not None and self._episode.episode == episode.episode
         if episode.phase in ("ended", "aborted"):
             if known:
-                self._episode, self._capture, self._layout_due, self._failure = None, None, None, ""
+                self._episode, self._capture, self._layout_due, self._put_aside = None, None, None, None
+                self._failure = self._driver_trouble = ""
             return ()
         if known and episode.phase == "running":
             return ()
         # A set-up, or a running game that this process, started again, has not heard of.
         self._episode = episode
-        self._step, self._capture, self._failure = 0, None, ""
+        self._step, self._capture, self._failure, self._put_aside = 0, None, "", None
         self._layout_due = now
+        self._resumed = now + RESUMING if episode.phase == "running" else 0
         sends = list(self._say_layout(now))
         motions = self._motions.begin(episode.episode)
         return [*sends, *self._begin_capture(motions, now)] if motions is not None else sends
 
     def _on_motion(self, key: str, motion: Motion, now: int) -> Sequence[Send]:
-        motions = self._motions.add(key, motion)
+        stamp, trouble = believed(motion.stamp, now)
+        if self._episode is not None and now >= self._resumed:  # else it may be of a time when nobody listened
+            self._driver_trouble = trouble
+        motions = self._motions.add(key, msgspec.structs.replace(motion, stamp=stamp))
         return () if motions is None else self._begin_capture(motions, now)
+
+    def _on_tick(self, tick: Tick) -> Sequence[Send]:
+        """A tick follows the poses of its step: a tracker before this one has published them."""
+        self._ticked = (tick.episode, tick.step)
+        if self._capture is not None and self._is_out(self._capture.step):
+            self._capture = None
+        return ()
+
+    def _is_out(self, step: int) -> bool:
+        episode, ticked = self._ticked
+        return self._episode is not None and self._episode.episode == episode and step <= ticked
 
     def _begin_capture(self, motions: tuple[Message, ...], now: int) -> Sequence[Send]:
         if self._episode is None:
             raise Unexpected(f"motions of episode {motions[0].episode}, which is over")
+        if now < self._resumed:
+            self._put_aside = motions
+            return ()
+        self._put_aside = None
+        if self._is_out(motions[0].step):
+            return ()
         self._step = motions[0].step
         failed = [
             f"{robot} {motion.result}{': ' * bool(motion.reason)}{motion.reason}"
@@ -199,27 +224,21 @@ class TrackerCore:
             if track.seen:
                 self._tags.there(self._tag_names[robot], now)
             sends.append(Publish(f"{robot}/track", _message_of(track, place)))
-        sends.extend(self._on_boxes(observation, stamp, now))
+        if self._layout.see(observation, place["episode"]):
+            sends.extend(self._say_layout(now))
         if self._capture is not None:
             self._capture.see(observation.tracks, stamp)
             sends.extend(self._finish_capture())
         return sends
 
-    def _on_boxes(self, observation: Observation, stamp: int, now: int) -> Sequence[Send]:
-        """Publish the layout when it is known for the first time, and when boxes have moved."""
-        if self._published is None:
-            if self._found is None and not observation.full_search:
-                return ()
-            if self._found is None or len(observation.boxes) != self._found[1]:
-                self._found = (stamp, len(observation.boxes))
-            if stamp - self._found[0] < SETTLING:
-                return ()
-        self._boxes = observation.boxes
-        moved = self._published is None or have_moved(self._published.obstacles, observation.boxes)
-        return self._say_layout(now) if moved else ()
-
     def _on_frame(self, robot: str, frame: RawFrame, now: int) -> Sequence[Send]:
-        self._cameras.there(f"{robot} camera", now)
+        camera = f"{robot} camera"
+        try:
+            self._preparers[robot].require(frame.depth, frame.color)
+        except ValueError as error:
+            self._cameras.lost(camera, str(error))
+            return ()
+        self._cameras.there(camera, now)
         self._frames[robot] = frame
         self._offer(robot, frame)
         return self._finish_capture()
@@ -239,19 +258,14 @@ class TrackerCore:
     def _say_layout(self, now: int) -> Sequence[Send]:
         if self._layout_due is not None:
             self._layout_due = now + LAYOUT_PERIOD
-        if self._boxes is None or not self._cameras.is_fresh(OVERHEAD, now, self._settings.camera_patience):
+        if not self._cameras.is_fresh(OVERHEAD, now, self._settings.camera_patience):
             return ()
-        table = self._calibrated.table
-        episode = self._episode.episode if self._episode else 0
-        stamp = self._tracks[0]
-        if self._published is not None and not have_moved(self._published.obstacles, self._boxes):
-            boxes = self._published.obstacles  # word for word the same, so that nobody plans anew for the camera's noise
-        else:
-            boxes = self._boxes
-        self._published = Layout(stamp=stamp, episode=episode, width=table.width, depth=table.depth, obstacles=boxes)
-        return (Publish("layout", self._published),)
+        layout = self._layout.message(self._tracks[0], self._episode.episode if self._episode else 0)
+        return (Publish("layout", layout),) if layout is not None else ()
 
     def _on_time(self, now: int) -> Sequence[Send]:
+        if self._put_aside is not None and now >= self._resumed:
+            return self._begin_capture(self._put_aside, now)
         if now < self._check_at:
             return ()
         self._check_at = now + CHECK_PERIOD
@@ -260,22 +274,16 @@ class TrackerCore:
 
     def _say_trouble(self, now: int) -> None:
         patience = self._settings.camera_patience if self._episode is not None else PATIENCE_AT_REST
-        troubles = [self._calibration_trouble, self._failure, *self._cameras.troubles(now, patience)]
+        troubles = [
+            self._calibration_trouble,
+            self._failure,
+            self._layout.trouble,
+            self._driver_trouble,
+            *self._cameras.troubles(now, patience),
+        ]
         if self._cameras.is_fresh(OVERHEAD, now, patience):
             troubles += [*self._tags.troubles(now, patience), *self._troubles_seen]
         self.trouble = "; ".join(dict.fromkeys(trouble for trouble in troubles if trouble))
-
-
-def have_moved(before: Sequence[Box], after: Sequence[Box]) -> bool:
-    """Whether boxes came, went, or stand noticeably elsewhere: each is compared with the nearest one of before."""
-    if len(before) != len(after):
-        return True
-    for box in after:
-        nearest = min(before, key=lambda other: math.hypot(other.x - box.x, other.y - box.y))
-        turned = math.remainder(box.heading - nearest.heading, math.tau)
-        if math.hypot(nearest.x - box.x, nearest.y - box.y) > MOVED or abs(turned) > TURNED:
-            return True
-    return False
 
 
 def _message_of(track: TrackState, place: dict[str, int]) -> Track:

@@ -6,7 +6,7 @@ from vantage.service import Declaration
 DECLARATION = Declaration(
     name="tracker",
     inputs=(
-        *("episode", "overhead/color"),
+        *("episode", "tick", "overhead/color"),
         *(f"{robot}/{part}" for robot in ROBOTS for part in ("motion", "camera/depth", "camera/color")),
     ),
     outputs=(

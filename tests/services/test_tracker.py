@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from schemas import ROBOTS, Box, DepthImage, Intrinsics, Pose
 from services.tracker.calibrated import CalibrationFiles, CalibrationSettings
 from services.tracker.capture import Picture, StepCapture
-from services.tracker.core import MOVED, have_moved
+from services.tracker.table_layout import MOVED, have_moved
 from services.tracker.watch import CameraWatch
 from vantage.rehearsal.overhead_picture import rehearsal_camera
 from vantage.service import SECOND, CannotStart, DeviceLost, Publish

@@ -17,13 +17,16 @@ from vantage.tracking.calibration import Calibration
 from vantage.tracking.filter import FilterSettings, PoseFilter, TrackState
 from vantage.tracking.overhead_camera import OverheadCamera
 from vantage.tracking.picture_quality import WEAK_MARGIN, light_trouble, why_unseen
-from vantage.tracking.standing_tags import StandingTag
+from vantage.tracking.standing_tags import StandingTag, box_at
 from vantage.tracking.table import Table
 from vantage.tracking.tag_mount import NotAsMounted, TagMount, box_mounts, corner_mounts, robot_mounts
 from vantage.tracking.tag_pose import MeasuredPose
 from vantage.tracking.tag_search import SearchPlan, clipped, tiles_of
 from vantage.tracking.tags import FoundTag, TagFinder, Window, distinct, grey_of
 from vantage.tracking.trouble_book import TroubleBook, clock, elsewhere, twins_text
+
+GAP = 1_000_000_000
+"""ns without a picture after which nothing counts as unseen for as long."""
 
 Floats = npt.NDArray[np.float64]
 Picture = npt.NDArray[np.uint8]
@@ -69,12 +72,17 @@ class Observation:
     Attributes:
         tracks: by robot; None where nothing is known.
         boxes: obstacles found so far, held steady; in the order of the table.
+        box_tags: the tags on them, in the same order.
+        boxes_known: whether these are all: searched in pictures with light, and none was seen too seldom to have its place yet.
+            Boxes of the table that the first search did not find are given a second one.
         troubles: for people, one line each.
         full_search: whether a search of the whole picture was completed with this one.
     """
 
     tracks: dict[str, TrackState | None]
     boxes: tuple[Box, ...]
+    box_tags: tuple[int, ...]
+    boxes_known: bool
     troubles: tuple[str, ...]
     full_search: bool
 
@@ -119,11 +127,15 @@ class OverheadTracker:
         self._turn = 0
         self._begun: int | None = None
         self._stamp = 0
+        self._since = 0  # since when (ns) there are pictures without a gap
+        self._searches = 0  # of the whole picture, with light
 
     def observe(self, picture: Picture, stamp: int) -> Observation:
         """Take the next picture: uint8 [H, W] or [H, W, 3] RGB, captured at stamp (ns). Never raises for what is in a picture."""
         if self._begun is None or stamp < self._stamp:
             self._start_clock(stamp)
+        if self._begun == stamp or stamp - self._stamp > GAP:
+            self._since = stamp
         self._stamp = stamp
         for robot in self._robots.values():
             robot.filter.predict(stamp)
@@ -132,14 +144,28 @@ class OverheadTracker:
         if picture.ndim not in (2, 3) or (picture.shape[1], picture.shape[0]) != size:
             shape = f"{picture.shape[1]} x {picture.shape[0]}" if picture.ndim in (2, 3) else f"of {picture.ndim} dimensions"
             trouble = f"overhead picture is {shape}, the calibration is for {size[0]} x {size[1]}: set the camera, or calibrate"
-            return Observation(self._tracks(), self._layout(), (trouble,), False)
+            return self._observation((trouble,), False)
         for robot in self._robots.values():
             self._follow(robot, picture)
         self._visit_standing(picture)
         searched = self._search(picture)
         if not 0 <= stamp - self._light_stamp < self.settings.light_period * 1e9:
             self._light_stamp, self._light = stamp, light_trouble(picture)
-        return Observation(self._tracks(), self._layout(), self._troubles(picture), searched)
+        self._searches += searched and not self._light
+        return self._observation(self._troubles(picture), searched)
+
+    def _observation(self, troubles: tuple[str, ...], searched: bool) -> Observation:
+        found = [
+            (mount.tag, box_at(obstacle, standing.held))
+            for obstacle, (mount, standing) in zip(self.table.obstacles, self._boxes, strict=True)
+            if standing.held is not None
+        ]
+        unseen = any(standing.latest is None for _, standing in self._boxes)
+        awaited = any(standing.latest is not None and standing.held is None for _, standing in self._boxes)
+        known = self._searches > unseen and not awaited
+        boxes, tags = tuple(box for _, box in found), tuple(tag for tag, _ in found)
+        tracks = {name: robot.filter.state for name, robot in self._robots.items()}
+        return Observation(tracks, boxes, tags, known, troubles, searched)
 
     def _start_clock(self, stamp: int) -> None:
         """Forget every stamp: the first picture, or one of a clock that went backwards."""
@@ -210,7 +236,8 @@ class OverheadTracker:
                 if found is not None:
                     self._see(mount, standing, found)
         for _, standing in self._boxes:
-            if standing.latest is not None and self._unseen_for(standing) > self.settings.keep_box:
+            missed = min(self._unseen_for(standing), (self._stamp - self._since) * 1e-9)  # not while there were no pictures
+            if standing.latest is not None and missed > self.settings.keep_box:
                 standing.forget()
 
     def _unseen_for(self, standing: StandingTag) -> float:
@@ -272,18 +299,6 @@ class OverheadTracker:
             self._note_twins(mount, [tag.centre for tag in found])
         elif others:
             self._see(mount, standing, others[0])
-
-    def _tracks(self) -> dict[str, TrackState | None]:
-        return {name: robot.filter.state for name, robot in self._robots.items()}
-
-    def _layout(self) -> tuple[Box, ...]:
-        boxes = []
-        for obstacle, (_, standing) in zip(self.table.obstacles, self._boxes, strict=True):
-            if standing.held is not None:
-                x, y, heading = (float(value) for value in standing.held)
-                sides = {"half_width": obstacle.half_width, "half_depth": obstacle.half_depth, "height": obstacle.height}
-                boxes.append(Box(x=x, y=y, heading=heading, **sides))
-        return tuple(boxes)
 
     def _troubles(self, picture: Picture) -> tuple[str, ...]:
         troubles = [self._light] if self._light else []

@@ -23,6 +23,7 @@ from schemas import Intrinsics
 from vantage.tracking.colors import ColorCorrection
 from vantage.tracking.rgbd_kernels import BLOCK, find_places, gather, sort_into_cells
 from vantage.tracking.rgbd_lens import Lens, lens_of, pixel_rays, project
+from vantage.tracking.table import write_file
 from vantage.world.arena import MOUNT_HEIGHT
 
 Bytes = npt.NDArray[np.uint8]
@@ -122,8 +123,12 @@ def check_rgbd(calibration: RgbdCalibration) -> None:
 
 
 def save_rgbd(calibration: RgbdCalibration, path: Path) -> None:
-    """Write a calibration as JSON."""
-    path.write_bytes(msgspec.json.format(msgspec.json.encode(calibration), indent=2) + b"\n")
+    """Write a calibration as JSON, replacing the file at once.
+
+    Raises:
+        UnusableRgbdCalibration: it cannot be written.
+    """
+    write_file(path, msgspec.json.format(msgspec.json.encode(calibration), indent=2) + b"\n", UnusableRgbdCalibration)
 
 
 def published_intrinsics(calibration: RgbdCalibration, width: int, height: int) -> Intrinsics:
@@ -200,15 +205,20 @@ class RgbdPreparer:
         self._depth_out = np.zeros((height, width), np.uint16)
         self._color_out = np.zeros((height, width, 3), np.uint8)
 
+    def require(self, depth: Depths, color: Bytes) -> None:
+        """Raise ValueError where the pictures do not fit the calibration."""
+        depth_lens, color_lens = self.calibration.depth, self.calibration.color
+        require_picture("depth", depth, np.uint16, (depth_lens.height, depth_lens.width))
+        require_picture("colour", color, np.uint8, (color_lens.height, color_lens.width, 3))
+
     def prepare(self, depth: Depths, color: Bytes) -> tuple[Depths, Bytes, Intrinsics]:
         """depth uint16 [H, W] counts, color uint8 [H, W, 3] RGB -> depth uint16 [h, w] mm, color uint8 [h, w, 3], intrinsics.
 
         The arrays returned are the preparer's own and overwritten by the next call. Raises ValueError where the pictures do
         not fit the calibration.
         """
-        depth_lens, color_lens = self.calibration.depth, self.calibration.color
-        require_picture("depth", depth, np.uint16, (depth_lens.height, depth_lens.width))
-        require_picture("colour", color, np.uint8, (color_lens.height, color_lens.width, 3))
+        self.require(depth, color)
+        color_lens = self.calibration.color
         find_places(
             depth,
             self.calibration.depth_unit,

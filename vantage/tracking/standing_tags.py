@@ -8,6 +8,8 @@ from collections import deque
 import numpy as np
 import numpy.typing as npt
 
+from schemas import Box
+from vantage.tracking.table import ObstacleTag
 from vantage.tracking.tag_pose import wrapped
 
 Floats = npt.NDArray[np.float64]
@@ -57,6 +59,13 @@ class StandingTag:
         """It is gone."""
         self.held, self.settled = None, False
         self._looks.clear()
+
+
+def box_at(obstacle: ObstacleTag, pose: Floats) -> Box:
+    """Return a box of the table that stands at a pose, float64 [3]."""
+    x, y, heading = (float(value) for value in pose)
+    sides = {"half_width": obstacle.half_width, "half_depth": obstacle.half_depth, "height": obstacle.height}
+    return Box(x=x, y=y, heading=heading, **sides)
 
 
 def differs(pose: Floats, other: Floats) -> bool:
