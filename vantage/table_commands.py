@@ -39,7 +39,7 @@ def calibrate_lens(settings: CalibrateLens) -> int:
         from vantage.setting_up.board_views import coverage_picture
         from vantage.setting_up.calibrating import gather_views, measure_lens, save_lens
         from vantage.setting_up.pictures import open_source, write_picture
-    with open_source(settings.source, settings.width, settings.height) as source, progress("looking for the board") as say:
+    with open_source(settings.source, *settings.mode) as source, progress("looking for the board") as say:
 
         def tell(views: BoardViews, looked: int) -> None:
             missing = views.missing()
@@ -78,7 +78,7 @@ def calibrate_arena(settings: CalibrateArena) -> int:
         from vantage.tracking.overhead_camera import OverheadCamera
         from vantage.tracking.table import load_table
     table, lens = load_table(settings.table), load_lens(settings.lens)
-    with progress("taking a picture") as say, open_source(settings.source, settings.width, settings.height) as source:
+    with progress("taking a picture") as say, open_source(settings.source, *settings.mode) as source:
         view = source.first()
         require_size(view, lens.width, lens.height, f"the lens {settings.lens}")
         say("looking for the corner tags")
@@ -150,7 +150,7 @@ def colors(settings: Colors) -> int:
     target = settings.to or Path(f"{settings.robot}.json")
     texts = {"hider": settings.hider, "seeker": settings.seeker, "grey": settings.grey}
     places = {surface: parse_place(surface, text) for surface, text in texts.items() if text}
-    with progress("taking a picture"), open_source(settings.source, settings.width, settings.height) as source:
+    with progress("taking a picture"), open_source(settings.source, *settings.mode) as source:
         picture = source.first().picture
     annotated = target.with_name(f"{target.stem}-colors.png")
     if len(places) < len(SURFACES):

@@ -28,7 +28,7 @@ class Settings:
     overhead: str = "bus"
     """The overhead camera: `bus`, a number or /dev path, a video file, a folder of pictures."""
     hider_camera: str = "bus"
-    """The hider's camera: `bus`, `realsense` or `realsense:SERIAL`, a log, a folder of recorded frames."""
+    """The hider's camera: `bus`, `realsense` or `realsense:SERIAL`, a log (its steps' pictures), a folder of recorded frames."""
     seeker_camera: str = "bus"
     """The seeker's camera, likewise."""
     recorded_rate: float = 5.0

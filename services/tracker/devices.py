@@ -13,13 +13,12 @@ import numpy as np
 import numpy.typing as npt
 
 from vantage.service import SECOND, DeviceLost, steady_clock
+from vantage.tracking.video_capture import FOURCC, RATE, CameraMode, UnusableCamera, open_camera
 
 Frame = tuple[npt.NDArray[np.uint8], int]
 
 WAIT = 0.2
 """Seconds that a read waits at most for a frame that is not due yet."""
-_MANUAL, _AUTOMATIC = 1, 3
-"""V4L2's words for who sets the exposure."""
 
 
 @dataclass(frozen=True)
@@ -30,14 +29,20 @@ class OverheadSettings:
     """pixels; the calibration holds for one resolution"""
     overhead_height: int = 720
     """pixels"""
-    overhead_rate: float = 30.0
-    """frames a second; of a video file or a folder: its pace, 0 = as fast as they are read"""
+    overhead_rate: float | None = None
+    """frames a second; None: 30, a video file's own. Of a video file or a folder, 0 = as fast as they are read"""
     overhead_exposure: float | None = None
     """exposure time in the camera's own unit (V4L2: 100 us); None: automatic. Short is sharp while robots move"""
-    overhead_fourcc: str = "MJPG"
+    overhead_fourcc: str = FOURCC
     """pixel format asked of the camera: four letters"""
     overhead_latency: float = 0.03
     """seconds from the exposure to the frame, subtracted where the camera's driver does not stamp its frames"""
+
+    @property
+    def mode(self) -> CameraMode:
+        """What is asked of a camera."""
+        rate = self.overhead_rate or RATE
+        return CameraMode(self.overhead_width, self.overhead_height, rate, self.overhead_fourcc, self.overhead_exposure)
 
 
 class DrivenCamera:
@@ -51,29 +56,10 @@ class DrivenCamera:
         self._capture: Any = None
 
     def open(self) -> None:
-        path = Path(f"/dev/video{self._source}") if self._source.isdigit() else Path(self._source)
-        if not path.exists():
-            raise DeviceLost(f"{self.name}: {path} is not there: plug the camera in, or see `v4l2-ctl --list-devices`")
-        cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # what goes wrong is said below, for people
-        self._capture = cv2.VideoCapture(str(path), cv2.CAP_V4L2)
-        if not self._capture.isOpened():
-            raise DeviceLost(f"{self.name}: {path} does not open: another program has it (`fuser {path}`), or it is no camera")
-        wanted = self._settings
-        self._capture.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*wanted.overhead_fourcc))
-        self._capture.set(cv2.CAP_PROP_FRAME_WIDTH, wanted.overhead_width)
-        self._capture.set(cv2.CAP_PROP_FRAME_HEIGHT, wanted.overhead_height)
-        self._capture.set(cv2.CAP_PROP_FPS, wanted.overhead_rate)
-        self._capture.set(cv2.CAP_PROP_BUFFERSIZE, 1)
-        if wanted.overhead_exposure is None:
-            self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _AUTOMATIC)
-        else:
-            self._capture.set(cv2.CAP_PROP_AUTO_EXPOSURE, _MANUAL)
-            self._capture.set(cv2.CAP_PROP_EXPOSURE, wanted.overhead_exposure)
-        if refused := refusals(wanted, self._capture.get):
-            raise DeviceLost(
-                f"{self.name}: {path} does not do {', '.join(refused)}: see `v4l2-ctl -d {path} --list-formats-ext`, "
-                "choose what it does and calibrate for it"
-            )
+        try:
+            self._capture = open_camera(self._source, self._settings.mode)
+        except UnusableCamera as error:
+            raise DeviceLost(f"{self.name}: {error}") from error
 
     def read(self) -> Frame | None:
         if not self._capture.grab():
@@ -97,25 +83,6 @@ class DrivenCamera:
         if self._capture is not None:
             self._capture.release()
             self._capture = None
-
-
-def refusals(wanted: OverheadSettings, get: Any) -> list[str]:
-    """Return what a camera, read back through `get(OpenCV property)`, does otherwise than asked, in words."""
-    refused = []
-    width, height = round(get(cv2.CAP_PROP_FRAME_WIDTH)), round(get(cv2.CAP_PROP_FRAME_HEIGHT))
-    if (width, height) != (wanted.overhead_width, wanted.overhead_height):
-        refused.append(f"{wanted.overhead_width} x {wanted.overhead_height} pixels (it gives {width} x {height})")
-    rate = get(cv2.CAP_PROP_FPS)
-    if abs(rate - wanted.overhead_rate) > 0.1 * wanted.overhead_rate:
-        refused.append(f"{wanted.overhead_rate:g} frames a second (it gives {rate:g})")
-    fourcc = int(get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little", signed=False).decode(errors="replace")
-    if fourcc != wanted.overhead_fourcc:
-        refused.append(f"the format {wanted.overhead_fourcc} (it gives {fourcc})")
-    if wanted.overhead_exposure is not None:
-        exposure = get(cv2.CAP_PROP_EXPOSURE)
-        if abs(exposure - wanted.overhead_exposure) > 0.1 * abs(wanted.overhead_exposure) + 1e-9:
-            refused.append(f"an exposure of {wanted.overhead_exposure:g} (it keeps {exposure:g})")
-    return refused
 
 
 class PacedFrames:

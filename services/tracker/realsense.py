@@ -1,17 +1,22 @@
-"""An Intel RealSense as a device, through the optional package pyrealsense2."""
+"""An Intel RealSense as a device."""
 
 from __future__ import annotations
 
+import time
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from vantage.service import SECOND, DeviceLost, steady_clock
+from vantage.tracking.realsense import RATE, load_library, open_realsense, stop_realsense
+from vantage.tracking.video_capture import UnusableCamera
 
 WAIT_MILLISECONDS = 200
 SILENCE = 3.0
 """Seconds without a frame after which the camera counts as gone: the library itself does not tell a pulled cable."""
+LATENCY = 0.05
+"""Seconds from exposure to arrival, where the camera's own stamps are not of this machine's clock."""
 
 
 class RealSense:
@@ -24,37 +29,19 @@ class RealSense:
 
     newest_only = True
 
-    def __init__(self, name: str, serial: str, width: int = 640, height: int = 480, rate: int = 15) -> None:
+    def __init__(self, name: str, serial: str, width: int = 640, height: int = 480, rate: int = RATE) -> None:
         self.name = name
         self._serial, self._width, self._height, self._rate = serial, width, height, rate
+        self._library: Any = None
         self._pipeline: Any = None
         self._heard = 0
 
     def open(self) -> None:
         try:
-            import pyrealsense2 as library
-        except ImportError as error:
-            raise DeviceLost(f"{self.name}: pyrealsense2 is not installed: pip install 'vantage[realsense]'") from error
-        found = [device.get_info(library.camera_info.serial_number) for device in library.context().query_devices()]
-        if not found or (self._serial and self._serial not in found):
-            there = f"there is {', '.join(found)}" if found else "there is none at all"
-            raise DeviceLost(f"{self.name}: RealSense {self._serial or '(any)'} is not plugged in; {there}")
-        if not self._serial and len(found) > 1:
-            raise DeviceLost(f"{self.name}: several RealSense cameras ({', '.join(found)}): say which, realsense:SERIAL")
-        configuration = library.config()
-        configuration.enable_device(self._serial or found[0])
-        size = (self._width, self._height)
-        configuration.enable_stream(library.stream.depth, *size, library.format.z16, self._rate)
-        configuration.enable_stream(library.stream.color, *size, library.format.rgb8, self._rate)
-        self._pipeline = library.pipeline()
-        try:
-            self._pipeline.start(configuration)
-        except RuntimeError as error:
-            self._pipeline = None
-            raise DeviceLost(
-                f"{self.name}: the RealSense does not give {self._width} x {self._height} at {self._rate} a second "
-                f"(a USB 2 cable does not carry it): {error}"
-            ) from error
+            self._library = load_library()
+            self._pipeline, _ = open_realsense(self._library, self._serial, self._width, self._height, self._rate)
+        except UnusableCamera as error:
+            raise DeviceLost(f"{self.name}: {error}") from error
         self._heard = steady_clock()
 
     def read(self) -> tuple[tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint8]], int] | None:
@@ -68,14 +55,21 @@ class RealSense:
         depth, color = frames.get_depth_frame(), frames.get_color_frame()
         if not depth or not color:
             return None
-        # The library's clock is its own domain; half a period is what exposure and transfer take at least.
-        stamp = now - SECOND // (2 * self._rate)
-        return (np.asanyarray(depth.get_data()).copy(), np.asanyarray(color.get_data()).copy()), stamp
+        # The earlier of the two: a step counts what was captured after its motions.
+        age = max(self._age(depth), self._age(color))
+        return (np.asanyarray(depth.get_data()).copy(), np.asanyarray(color.get_data()).copy()), now - int(age * SECOND)
+
+    def _age(self, frame: Any) -> float:
+        """Seconds since a frame was captured: by its own stamp (ms since the Unix epoch) if that is of this machine's clock."""
+        domain = self._library.timestamp_domain
+        age = time.time() - frame.get_timestamp() / 1000.0
+        of_this_machine = frame.get_frame_timestamp_domain() in (domain.system_time, domain.global_time)
+        return age if of_this_machine and 0.0 <= age < 1.0 else LATENCY
 
     def write(self, data: bytes) -> None:
         raise NotImplementedError("nothing is written to a camera")
 
     def close(self) -> None:
-        if self._pipeline is not None:
-            self._pipeline.stop()
-            self._pipeline = None
+        pipeline, self._pipeline = self._pipeline, None
+        if pipeline is not None:
+            stop_realsense(pipeline)

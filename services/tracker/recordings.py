@@ -52,9 +52,9 @@ class FrameFolder(PacedFrames):
 
 
 class LoggedFrames(PacedFrames):
-    """A robot's pictures out of an MCAP log: raw frames where it has them, else the pictures of the steps.
+    """A robot's pictures of the steps out of an MCAP log; cameras' raw frames are not recorded.
 
-    Step pictures are level and registered already: they need a calibration that says so.
+    They are level and registered already: they need a calibration that says so.
     """
 
     def __init__(self, name: str, source: Path, rate: float, robot: str) -> None:
@@ -63,20 +63,18 @@ class LoggedFrames(PacedFrames):
 
     def frames(self) -> Iterator[RgbdFrame]:
         found = False
-        for part in ("/camera", ""):
-            keys = (f"{self._robot}{part}/depth", f"{self._robot}{part}/color")
-            halves: dict[str, DepthImage | ColorImage] = {}
-            for record in read(self._source, keys):
-                message = record.decode()
-                assert isinstance(message, DepthImage | ColorImage)
-                halves[record.key] = message
-                depth, color = halves.get(keys[0]), halves.get(keys[1])
-                if depth is not None and color is not None and depth.stamp == color.stamp:
-                    found = True
-                    yield (
-                        np.frombuffer(depth.data, "<u2").reshape(depth.height, depth.width),
-                        np.frombuffer(color.data, np.uint8).reshape(color.height, color.width, 3),
-                    )
-            if found:
-                return
-        raise DeviceLost(f"{self.name}: {self._source} holds no depth and colour pictures of the {self._robot}")
+        keys = (f"{self._robot}/depth", f"{self._robot}/color")
+        halves: dict[str, DepthImage | ColorImage] = {}
+        for record in read(self._source, keys):
+            message = record.decode()
+            assert isinstance(message, DepthImage | ColorImage)
+            halves[record.key] = message
+            depth, color = halves.get(keys[0]), halves.get(keys[1])
+            if depth is not None and color is not None and depth.stamp == color.stamp:
+                found = True
+                yield (
+                    np.frombuffer(depth.data, "<u2").reshape(depth.height, depth.width),
+                    np.frombuffer(color.data, np.uint8).reshape(color.height, color.width, 3),
+                )
+        if not found:
+            raise DeviceLost(f"{self.name}: {self._source} holds no depth and colour pictures of the {self._robot}")

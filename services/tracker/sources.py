@@ -8,6 +8,7 @@ from services.tracker.devices import DrivenCamera, OverheadSettings, PictureFold
 from services.tracker.realsense import RealSense
 from services.tracker.recordings import FrameFolder, LoggedFrames
 from vantage.service import Device
+from vantage.tracking.video_capture import RATE
 
 BUS = "bus"
 _LOG = ".mcap"
@@ -21,7 +22,7 @@ def overhead_device(name: str, source: str, settings: OverheadSettings) -> Devic
         return DrivenCamera(name, source, settings)
     path = Path(source)
     if path.is_dir():
-        return PictureFolder(name, path, settings.overhead_rate)
+        return PictureFolder(name, path, RATE if settings.overhead_rate is None else settings.overhead_rate)
     return VideoFile(name, path, settings.overhead_rate)
 
 

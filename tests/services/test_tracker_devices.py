@@ -6,6 +6,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import cv2
@@ -13,12 +14,12 @@ import numpy as np
 import pytest
 
 from schemas import ColorImage, DepthImage, Intrinsics, Message
-from services.tracker.devices import DrivenCamera, OverheadSettings, PictureFolder, VideoFile, refusals
-from services.tracker.realsense import RealSense
+from services.tracker.devices import DrivenCamera, OverheadSettings, PictureFolder, VideoFile
+from services.tracker.realsense import LATENCY, RealSense
 from services.tracker.recordings import FrameFolder, LoggedFrames
 from services.tracker.sources import overhead_device, rgbd_device
 from tests.log.making import records_of, write_log
-from vantage.service import Device, DeviceLost
+from vantage.service import SECOND, Device, DeviceLost, steady_clock
 
 SHADES = (40, 120, 200)
 
@@ -39,39 +40,6 @@ def frames_of(device: Device, limit: float = 10.0) -> tuple[list[Any], list[floa
     finally:
         device.close()
     raise AssertionError("the device did not end")
-
-
-def property_reader(**values: float) -> Callable[[int], float]:
-    return {getattr(cv2, f"CAP_PROP_{name}"): value for name, value in values.items()}.__getitem__
-
-
-def as_asked(settings: OverheadSettings) -> dict[str, float]:
-    return {
-        "FRAME_WIDTH": settings.overhead_width,
-        "FRAME_HEIGHT": settings.overhead_height,
-        "FPS": settings.overhead_rate,
-        "FOURCC": float(cv2.VideoWriter.fourcc(*settings.overhead_fourcc)),
-        "EXPOSURE": settings.overhead_exposure or 0.0,
-    }
-
-
-def test_a_camera_that_does_what_was_asked_is_not_refused() -> None:
-    for settings in (OverheadSettings(), OverheadSettings(640, 480, 60.0, 50.0, "YUYV")):
-        assert refusals(settings, property_reader(**as_asked(settings))) == []
-
-
-@pytest.mark.parametrize(
-    ("read_back", "said"),
-    [
-        ({"FRAME_WIDTH": 640.0, "FRAME_HEIGHT": 480.0}, "1280 x 720 pixels (it gives 640 x 480)"),
-        ({"FPS": 10.0}, "30 frames a second (it gives 10)"),
-        ({"FOURCC": float(cv2.VideoWriter.fourcc(*"YUYV"))}, "the format MJPG (it gives YUYV)"),
-        ({"EXPOSURE": 300.0}, "an exposure of 50 (it keeps 300)"),
-    ],
-)
-def test_what_a_camera_does_otherwise_is_said(read_back: dict[str, float], said: str) -> None:
-    settings = OverheadSettings(overhead_exposure=50.0)
-    assert refusals(settings, property_reader(**{**as_asked(settings), **read_back})) == [said]
 
 
 def test_a_camera_that_is_not_there_is_said_with_what_to_do() -> None:
@@ -95,7 +63,8 @@ def test_a_video_file_gives_its_frames_in_rgb_and_says_when_it_has_ended(tmp_pat
     for shade in SHADES:
         writer.write(np.full((48, 64, 3), (0, 0, shade), np.uint8))  # red, in OpenCV's order
     writer.release()
-    video = VideoFile("overhead camera", path)
+    video = overhead_device("overhead camera", str(path), OverheadSettings())
+    assert isinstance(video, VideoFile)
     values, times, said = frames_of(video)
     assert [round(float(value[..., 0].mean()), -1) for value in values] == list(SHADES)
     assert all(value.shape == (48, 64, 3) and value[..., 2].mean() < 30 for value in values)
@@ -171,8 +140,80 @@ def test_a_robots_pictures_are_read_from_a_log(tmp_path: Path) -> None:
 
 def test_a_realsense_without_its_package_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "pyrealsense2", None)
-    with pytest.raises(DeviceLost, match="hider camera: pyrealsense2 is not installed"):
+    with pytest.raises(DeviceLost, match=r'hider camera: pyrealsense2 is not installed: .* --editable "\.\[tracker,realsense\]"'):
         RealSense("hider camera", "123").open()
+
+
+class Camera:
+    """What stands in for pyrealsense2 where no camera is: one camera, its pipeline, and its frames."""
+
+    def __init__(self, stamp_ms: Callable[[], float], domain: str) -> None:
+        self.stamp_ms, self.domain, self.pulled = stamp_ms, domain, False
+        self.stream = SimpleNamespace(depth=1, color=2)
+        self.format = SimpleNamespace(z16=1, rgb8=2)
+        self.camera_info = SimpleNamespace(serial_number=0)
+        self.timestamp_domain = SimpleNamespace(hardware_clock="hardware", system_time="system", global_time="global")
+
+    def context(self) -> Any:
+        return SimpleNamespace(query_devices=lambda: [SimpleNamespace(get_info=lambda _: "123")])
+
+    def config(self) -> Any:
+        return SimpleNamespace(enable_device=lambda serial: None, enable_stream=lambda *what: None)
+
+    def pipeline(self) -> Any:
+        return SimpleNamespace(start=lambda configuration: "profile", stop=self._stop, try_wait_for_frames=self._wait)
+
+    def _stop(self) -> None:
+        if self.pulled:
+            raise RuntimeError("stop() cannot be called before start()")
+
+    def _wait(self, milliseconds: int) -> tuple[bool, Any]:
+        def frame(shape: tuple[int, ...], kind: type) -> Any:
+            return SimpleNamespace(
+                get_data=lambda: np.zeros(shape, kind),
+                get_timestamp=self.stamp_ms,
+                get_frame_timestamp_domain=lambda: self.domain,
+            )
+
+        depth, color = frame((4, 6), np.uint16), frame((4, 6, 3), np.uint8)
+        return True, SimpleNamespace(get_depth_frame=lambda: depth, get_color_frame=lambda: color)
+
+
+@pytest.mark.parametrize(
+    ("domain", "age", "counted"),
+    [
+        ("global", 0.12, 0.12),
+        ("system", 0.3, 0.3),
+        ("hardware", 0.12, LATENCY),
+        ("global", 3600.0, LATENCY),
+        ("global", -5.0, LATENCY),
+    ],
+)
+def test_a_realsense_stamps_its_frames_if_its_clock_is_ours(
+    monkeypatch: pytest.MonkeyPatch, domain: str, age: float, counted: float
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyrealsense2", Camera(lambda: 1000.0 * (time.time() - age), domain))
+    device = RealSense("hider camera", "")
+    device.open()
+    before = steady_clock()
+    got = device.read()
+    after = steady_clock()
+    assert got is not None
+    assert before - 0.01 * SECOND <= got[1] + counted * SECOND <= after + 0.01 * SECOND
+    device.close()
+
+
+def test_a_realsense_that_was_pulled_out_closes_and_opens_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    camera = Camera(lambda: 0.0, "hardware")
+    monkeypatch.setitem(sys.modules, "pyrealsense2", camera)
+    device = RealSense("hider camera", "123")
+    device.open()
+    camera.pulled = True
+    device.close()
+    device.close()
+    camera.pulled = False
+    device.open()
+    assert device.read() is not None
 
 
 def test_a_sources_name_tells_its_device(tmp_path: Path) -> None:

@@ -29,7 +29,7 @@ def test_the_group_lists_its_commands(tmp_path: Path) -> None:
         (("check", "--source", "nowhere.png"), "there is no picture nowhere.png"),
         (("check", "--source", "."), "holds no picture"),
         (("check", "moon"), "no deployment `moon`"),
-        (("calibrate", "lens", "--source", "91"), "there is no camera 91"),
+        (("calibrate", "lens", "--source", "91"), "/dev/video91 is not there"),
         (("calibrate", "arena", "--source", "91"), "cannot read the table table.json"),
         (("calibrate", "robot", "--robot", "hider", "--source", "floor.npz"), "there is no depth picture floor.npz"),
         (("colors", "--source", "91", "--grey", "1"), "--grey '1': give the place"),

@@ -317,3 +317,13 @@ def test_coverage_is_the_share_of_columns_that_a_wall_fills() -> None:
         shares = coverage(calibration)
         assert shares == pytest.approx(expected, abs=0.02)
         assert min(shares) < 1.0
+
+
+def test_a_file_that_cannot_be_written_anew_stays_what_it_was(tmp_path: Path) -> None:
+    path = tmp_path / "hider.json"
+    save_rgbd(default_rgbd(), path)
+    before = path.read_bytes()
+    (tmp_path / "hider.json.part").mkdir()  # no room to write beside it
+    with pytest.raises(UnusableRgbdCalibration, match=r"cannot write .*hider\.json"):
+        save_rgbd(msgspec.structs.replace(default_rgbd(), tilt=0.1), path)
+    assert path.read_bytes() == before

@@ -84,7 +84,7 @@ def _check_robot_view(settings: Check, deployment: Deployment, heard: Heard, rob
 
 def _check_source(settings: Check, table: Table, calibration: Calibration | None) -> list[Verdict]:
     verdicts: list[Verdict] = []
-    with progress("looking") as say, open_source(settings.source, settings.width, settings.height) as source:
+    with progress("looking") as say, open_source(settings.source, *settings.mode) as source:
         for number, view in enumerate(source.views, 1):
             if calibration is not None:
                 require_size(view, calibration.width, calibration.height, "the calibration")

@@ -24,7 +24,7 @@ from vantage.tracking.tags import FoundTag, TagFinder, distinct
 Picture = npt.NDArray[np.uint8]
 Floats = npt.NDArray[np.float64]
 
-DARK: Final = 40
+DARK_MEDIAN: Final = 40
 """Grey level below which the median of a picture is too dark to read tags quickly."""
 SATURATED: Final = 250
 GREATEST_SATURATED: Final = 0.02
@@ -132,8 +132,8 @@ def _light(grey: Picture, table: Table, camera: OverheadCamera | None) -> Verdic
         return Verdict("light", "the arena is not in the picture", "point the camera at the table and calibrate the arena again")
     median, saturated = float(np.median(pixels)), float((pixels >= SATURATED).mean())
     figures = f"median {median:.0f} of 255, {100 * saturated:.1f} % of the {where} saturated"
-    if median < DARK:
-        return Verdict("light", figures, f"too dark (below {DARK}): more light, or a longer exposure")
+    if median < DARK_MEDIAN:
+        return Verdict("light", figures, f"too dark (below {DARK_MEDIAN}): more light, or a longer exposure")
     if saturated > GREATEST_SATURATED:
         return Verdict("light", figures, f"glare (above {100 * GREATEST_SATURATED:g} %): shade the lamps, or a shorter exposure")
     return Verdict("light", figures)

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vantage.setting_up.trouble import TableTrouble
+from vantage.tracking.video_capture import FOURCC, RATE, CameraMode, UnusableCamera, open_camera
 
 Picture = npt.NDArray[np.uint8]
 
@@ -92,19 +93,25 @@ def write_picture(path: Path, picture: Picture) -> None:
 
 
 @contextmanager
-def open_source(source: str, width: int, height: int) -> Iterator[Source]:
+def open_source(source: str, width: int, height: int, rate: float = RATE, fourcc: str = FOURCC) -> Iterator[Source]:
     """Open a camera (`0`, `1`, `/dev/video0`), a picture, a folder of pictures or a video.
 
     Args:
-        width, height: asked of a camera, px.
+        width, height, rate, fourcc: asked of a camera: px, frames a second, pixel format.
 
     Raises:
-        TableTrouble: there is no such thing, it holds no picture, or the camera cannot be opened.
+        TableTrouble: there is no such thing, it holds no picture, or the camera cannot be opened or does otherwise than asked.
     """
     path = Path(source)
     if source.isdecimal() or source.startswith("/dev/"):
-        with _camera(source, width, height) as capture:
+        try:
+            capture = open_camera(source, CameraMode(width, height, rate, fourcc))
+        except UnusableCamera as error:
+            raise TableTrouble(str(error)) from error
+        try:
             yield Source(f"camera {source}", True, None, _captured(capture, f"camera {source}", live=True))
+        finally:
+            capture.release()
     elif path.is_dir():
         files = sorted(file for file in path.iterdir() if file.suffix.lower() in PICTURES)
         if not files:
@@ -142,26 +149,6 @@ def require_size(view: View, width: int, height: int, of: str) -> None:
         )
 
 
-@contextmanager
-def _camera(source: str, width: int, height: int) -> Iterator[Any]:
-    if source.startswith("/dev/") and not Path(source).exists():
-        raise TableTrouble(f"there is no camera {source}: is it plugged in? {_cameras_there()}")
-    if source.isdecimal() and not Path(f"/dev/video{source}").exists():
-        raise TableTrouble(f"there is no camera {source} (/dev/video{source}): is it plugged in? {_cameras_there()}")
-    capture = cv2.VideoCapture(int(source) if source.isdecimal() else source, cv2.CAP_V4L2)
-    try:
-        if not capture.isOpened():
-            raise TableTrouble(
-                f"camera {source} cannot be opened: does another program hold it (`vantage down hardware` frees the tracker's), "
-                "and are you in the group `video`?"
-            )
-        capture.set(cv2.CAP_PROP_FRAME_WIDTH, width)
-        capture.set(cv2.CAP_PROP_FRAME_HEIGHT, height)
-        yield capture
-    finally:
-        capture.release()
-
-
 def _captured(capture: Any, name: str, *, live: bool) -> Iterator[View]:
     opened = time.monotonic()
     number = 0
@@ -175,8 +162,3 @@ def _captured(capture: Any, name: str, *, live: bool) -> Iterator[View]:
         number += 1
         if not live or seconds >= _WARMING_UP:
             yield View(f"{name}, picture {number}", np.ascontiguousarray(picture[..., ::-1]), seconds if live else 0.0)
-
-
-def _cameras_there() -> str:
-    found = sorted(str(path) for path in Path("/dev").glob("video*"))
-    return f"There is: {', '.join(found)}" if found else "No camera is plugged in at all"

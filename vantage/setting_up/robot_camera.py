@@ -15,8 +15,10 @@ import numpy.typing as npt
 
 from vantage.setting_up.trouble import TableTrouble
 from vantage.tracking.colors import ColorCorrection
+from vantage.tracking.realsense import load_library, open_realsense, stop_realsense
 from vantage.tracking.rgbd import RgbdCalibration, default_rgbd, load_rgbd, save_rgbd
 from vantage.tracking.rgbd_lens import Lens, pixel_rays
+from vantage.tracking.video_capture import UnusableCamera
 
 Depths = npt.NDArray[np.uint16]
 Floats = npt.NDArray[np.float64]
@@ -142,24 +144,17 @@ def read_realsense(serial: str, width: int, height: int) -> tuple[RgbdCalibratio
         TableTrouble: no such camera, or the package pyrealsense2 is not installed.
     """
     try:
-        import pyrealsense2 as library
-    except ImportError as error:
-        raise TableTrouble("pyrealsense2 is not installed: pip install 'vantage-hide-and-seek[realsense]'") from error
-    configuration = library.config()
-    if serial:
-        configuration.enable_device(serial)
-    configuration.enable_stream(library.stream.depth, width, height, library.format.z16, 15)
-    configuration.enable_stream(library.stream.color, width, height, library.format.rgb8, 15)
-    pipeline = library.pipeline()
-    try:
-        profile = pipeline.start(configuration)
-    except RuntimeError as error:
-        raise TableTrouble(f"RealSense {serial or '(any)'}: {error}; is it plugged in, and is the deployment down?") from error
+        library = load_library()
+        pipeline, profile = open_realsense(library, serial, width, height)
+    except UnusableCamera as error:
+        raise TableTrouble(str(error)) from error
     try:
         frames = [np.asanyarray(pipeline.wait_for_frames().get_depth_frame().get_data()).copy() for _ in range(_FRAMES)]
         return realsense_calibration(library, profile), np.median(np.stack(frames), axis=0).astype(np.uint16)
+    except RuntimeError as error:
+        raise TableTrouble(f"the RealSense gives no frames any more ({error}): look at its cable") from error
     finally:
-        pipeline.stop()
+        stop_realsense(pipeline)
 
 
 def realsense_calibration(library: Any, profile: Any) -> RgbdCalibration:

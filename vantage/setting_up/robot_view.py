@@ -11,7 +11,7 @@ import numpy.typing as npt
 from schemas import ROBOTS, Robot
 from vantage.perception.scan import is_robot_color
 from vantage.setting_up.annotation import ROBOT_COLORS, Canvas
-from vantage.setting_up.picture_check import DARK
+from vantage.setting_up.picture_check import DARK_MEDIAN
 from vantage.setting_up.verdict import Verdict
 
 Picture = npt.NDArray[np.uint8]
@@ -59,7 +59,7 @@ def check_robot_view(robot: Robot, color: Picture, depth: Depths, age: float) ->
         Verdict(
             f"{robot}'s camera",
             f"median {median:.0f} of 255{when}",
-            "" if median >= DARK else f"too dark (below {DARK}): more light on the table",
+            "" if median >= DARK_MEDIAN else f"too dark (below {DARK_MEDIAN}): more light on the table",
         ),
         Verdict(
             f"{robot}'s depth",

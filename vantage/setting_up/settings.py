@@ -23,6 +23,15 @@ class Camera:
     """Pixels asked of a camera: the resolution that the tracker will use."""
     height: int = 720
     """Pixels asked of a camera."""
+    rate: float = 30.0
+    """Frames a second asked of a camera: as the tracker will."""
+    fourcc: str = "MJPG"
+    """Pixel format asked of a camera, four letters: as the tracker will."""
+
+    @property
+    def mode(self) -> tuple[int, int, float, str]:
+        """Width, height, rate and format asked of a camera."""
+        return self.width, self.height, self.rate, self.fourcc
 
 
 @dataclass(frozen=True)
@@ -137,6 +146,8 @@ class Colors(Camera):
     """Pixels asked of a camera."""
     height: int = 480
     """Pixels asked of a camera."""
+    fourcc: str = "YUYV"
+    """Pixel format asked of a camera, four letters."""
 
 
 @dataclass(frozen=True)
@@ -170,7 +181,16 @@ class Check:
     """Pixels asked of a camera."""
     height: int = 720
     """Pixels asked of a camera."""
+    rate: float = 30.0
+    """Frames a second asked of a camera: as the tracker will."""
+    fourcc: str = "MJPG"
+    """Pixel format asked of a camera, four letters: as the tracker will."""
     folder: Path | None = None
     """The deployment's private runtime folder, as given to `vantage up`."""
     arena: str = "table"
     """Name of its arena."""
+
+    @property
+    def mode(self) -> tuple[int, int, float, str]:
+        """Width, height, rate and format asked of a camera."""
+        return self.width, self.height, self.rate, self.fourcc

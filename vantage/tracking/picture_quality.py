@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 Picture = npt.NDArray[np.uint8]
 
-DARK = 45
+DARK_HIGHLIGHT = 45
 """A picture whose brightest twentieth is darker than this is too dark."""
 WHITE = 250
 OVEREXPOSED_SHARE = 0.15
@@ -26,7 +26,7 @@ def light_trouble(picture: Picture) -> str:
     sample = picture[::16, ::16]
     if sample.ndim == 3:
         sample = sample.max(axis=2)
-    if float(np.percentile(sample, 95)) < DARK:
+    if float(np.percentile(sample, 95)) < DARK_HIGHLIGHT:
         return "overhead picture is too dark: more light, or a longer exposure"
     white = float((sample >= WHITE).mean())
     if white > OVEREXPOSED_SHARE:
@@ -42,7 +42,7 @@ def why_unseen(grey: Picture) -> str:
     if white > OVEREXPOSED_SHARE:
         return f"glare: {100 * white:.0f} % of its surroundings are white"
     low, high = (float(level) for level in np.percentile(grey, (3, 97)))
-    if high < DARK:
+    if high < DARK_HIGHLIGHT:
         return "too dark"
     if high - low < FLAT:
         return "covered, or no contrast"

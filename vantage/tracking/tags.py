@@ -68,15 +68,6 @@ def grey_of(picture: Picture, window: Window) -> Picture:
     return cv2.cvtColor(part, cv2.COLOR_RGB2GRAY) if part.ndim == 3 else np.ascontiguousarray(part)
 
 
-class _LastingDetector(Detector):
-    """pupil-apriltags 1.0.4 frees a detector's family before the detector itself, which corrupts the heap: a process that makes
-    a few of them dies. So memory is not given back; a process needs two detectors.
-    """
-
-    def __del__(self) -> None:
-        """Free nothing."""
-
-
 class _Detector(Detector):
     """The one detector of a process, which keeps it to its end.
 
