@@ -31,8 +31,8 @@ MADE_WITH = "rehearsal"
 _FIRST_OBSTACLE_TAG = 10
 _PATCH_DISTANCE = 0.25
 """m from a camera to what its colours are measured on."""
-_FLOOR_ROWS = 40
-"""px at the lower edge of a picture, where the floor is."""
+_FLOOR_SHARE = 12
+"""This part of a picture, at its lower edge, shows the floor."""
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,14 @@ class Prepared:
     cameras: dict[str, RgbdCamera] = field(default_factory=dict)
 
 
-def prepare_table(settings: TableSettings) -> Prepared:
+def prepare_table(
+    settings: TableSettings, overhead_size: tuple[int, int] = (1280, 720), rgbd: RgbdCalibration | None = None
+) -> Prepared:
     """Lay the table out and put its cameras up.
+
+    Args:
+        overhead_size: width and height of the overhead camera's pictures, px.
+        rgbd: the robots' cameras but for what sets two of one type apart; default `default_rgbd`.
 
     Raises:
         ImpossibleLayout: nobody could play on it.
@@ -73,17 +79,18 @@ def prepare_table(settings: TableSettings) -> Prepared:
     table = msgspec.structs.replace(bare, obstacles=tags)
     hider, seeker = draw_start(boxes_array(obstacles), table.width, table.depth, settings.layout_seed, 0.25, 0.45)
     starts = tuple((x, y, math.radians(10.0 * heading)) for x, y, heading in (hider, seeker))
-    scene = OverheadScene(table, rehearsal_camera(arena=(table.width, table.depth)), OverheadLook())
+    scene = OverheadScene(table, rehearsal_camera(*overhead_size, arena=(table.width, table.depth)), OverheadLook())
+    one = rgbd or default_rgbd()
     # Two cameras of one type differ a little in how they sit and in their colours.
     cameras = {
-        "hider": _camera(tilt=math.radians(5.2), height=0.0804, look=RgbdLook(red_gain=0.96, blue_gain=1.05)),
-        "seeker": _camera(tilt=math.radians(4.8), height=0.0797, look=RgbdLook(green_gain=0.97, brightness=0.95)),
+        "hider": _camera(one, tilt=math.radians(5.2), height=0.0804, look=RgbdLook(red_gain=0.96, blue_gain=1.05)),
+        "seeker": _camera(one, tilt=math.radians(4.8), height=0.0797, look=RgbdLook(green_gain=0.97, brightness=0.95)),
     }
     return Prepared(table, obstacles, (starts[HIDER], starts[SEEKER]), scene, cameras)
 
 
-def _camera(tilt: float, height: float, look: RgbdLook) -> RgbdCamera:
-    return RgbdCamera(msgspec.structs.replace(default_rgbd(), tilt=tilt, mount_height=height), look)
+def _camera(one: RgbdCalibration, tilt: float, height: float, look: RgbdLook) -> RgbdCamera:
+    return RgbdCamera(msgspec.structs.replace(one, tilt=tilt, mount_height=height), look)
 
 
 def calibrate_and_write(prepared: Prepared, folder: Path, seed: int) -> None:
@@ -106,7 +113,8 @@ def calibrate_overhead(prepared: Prepared, seed: int) -> Calibration:
     Raises:
         CalibrationFailed: the pictures do not make a calibration.
     """
-    truth = rehearsal_camera(arena=(prepared.table.width, prepared.table.depth))
+    camera, table = prepared.scene.camera, prepared.table
+    truth = rehearsal_camera(camera.width, camera.height, arena=(table.width, table.depth))
     lens = Lens(width=truth.width, height=truth.height, matrix=truth.matrix, distortion=truth.distortion, residual=0.0)
     board = BoardScene(lens)
     views = draw_views(BOARD_PICTURES, board.board, seed)
@@ -129,8 +137,10 @@ def calibrate_rgbd(camera: RgbdCamera, seed: int, index: int) -> RgbdCalibration
     # The robot's middle, level with the camera and straight ahead of it.
     column = round(lens.cx + lens.fx * camera.geometry.translation[0] / _PATCH_DISTANCE)
     row = round(lens.cy - lens.fy * math.tan(camera.geometry.tilt))
-    hider, seeker = (measure_rectangle(picture, column - 15, row - 10, 30, 20) for picture in pictures)
-    grey = measure_rectangle(pictures[0], lens.width // 2 - 60, lens.height - _FLOOR_ROWS, 120, _FLOOR_ROWS - 5)
+    across, down = lens.width // 20, lens.height // 24
+    hider, seeker = (measure_rectangle(picture, column - across // 2, row - down // 2, across, down) for picture in pictures)
+    floor = lens.height // _FLOOR_SHARE
+    grey = measure_rectangle(pictures[0], 2 * lens.width // 5, lens.height - floor, lens.width // 5, 7 * floor // 8)
     correction, _ = correct_colors(hider, seeker, grey)
     return msgspec.structs.replace(
         camera.geometry,

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import contextlib
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+
+import msgspec
 
 from schemas import ROBOTS, Command, Episode, Message, Pose, Rules, Tick
 from services.rehearsal.core import LINES, CameraSettings, RehearsalCore
@@ -19,9 +22,16 @@ from services.tracker.calibrated import CalibrationFiles, CalibrationSettings
 from services.tracker.core import Calibrated, TrackerCore
 from vantage.bus import Bus, InProcessNetwork, Sample, VirtualClock
 from vantage.service import SECOND, Captured, Runtime, run_in_process
+from vantage.tracking.rgbd import default_rgbd
+from vantage.tracking.rgbd_lens import lens_of
 from vantage.world.camera import Camera
 
 LAYOUT_SEED = 1
+OVERHEAD_SIZE = (960, 540)
+SMALL_CAMERA = msgspec.structs.replace(
+    default_rgbd(), depth=lens_of(320, 240, math.radians(87.0)), color=lens_of(320, 240, math.radians(90.0))
+)
+"""Cameras that see what the rehearsal's see, in fewer pixels: pictures to be drawn are what these tests wait for."""
 WORLD_KEYS = ("layout", *(f"{robot}/{part}" for robot in ROBOTS for part in ("pose", "depth", "color", "track", "motion")))
 
 
@@ -152,10 +162,10 @@ class Calibration:
 
 
 def calibrate(folder: Path) -> Calibration:
-    prepared = prepare_table(TableSettings("lab", LAYOUT_SEED))
+    prepared = prepare_table(TableSettings("lab", LAYOUT_SEED), OVERHEAD_SIZE, SMALL_CAMERA)
     calibrate_and_write(prepared, folder, seed=1)
     table, overhead, hider, seeker = (folder / f"{name}.json" for name in ("table", "overhead", "hider", "seeker"))
-    files = CalibrationFiles(CalibrationSettings(table, overhead, hider, seeker), 1280, 720)
+    files = CalibrationFiles(CalibrationSettings(table, overhead, hider, seeker), *OVERHEAD_SIZE)
     return Calibration(prepared, files.load())
 
 

@@ -29,7 +29,7 @@ def test_the_layout_is_said_without_a_game_and_again_and_again_while_one_is_set_
     assert len(stamps) >= 3
     assert max(np.diff(stamps)) < 3 * SECOND
     said = len(stamps)
-    rehearsed.run(lambda: False, 3.0)
+    rehearsed.run(lambda: False, 2.5)
     assert len(rehearsed.messages("layout", 1)) == said
 
 
@@ -58,10 +58,10 @@ def test_a_camera_without_frames_is_named_and_the_game_goes_on_when_it_is_back(r
     for camera in ("hider camera", "seeker camera", "overhead camera"):
         assert camera not in tracker_trouble(rehearsed)
         rehearsed.unplug(camera)
-        rehearsed.run(lambda: False, 1.5)
+        rehearsed.run(lambda: False, 1.4)
         assert f"{camera}: no frame for 1." in tracker_trouble(rehearsed)
         rehearsed.unplug()
-        rehearsed.run(lambda: False, 1.0)
+        rehearsed.run(lambda: False, 0.6)
     assert tracker_trouble(rehearsed) == ""
     rehearsed.move(1, 0, "left", "left")
 
@@ -92,11 +92,12 @@ def test_a_robot_that_cannot_be_driven_gives_no_step_and_the_reason(rehearsed: R
     rehearsed.begin(1)
     rehearsed.unplug("seeker line")
     rehearsed.command(1, 0, hider="left", seeker="left")
-    rehearsed.run(lambda: False, 6.0)
-    motions = [message.result for message in rehearsed.messages("seeker/motion", 1) if message.step == 1]
-    if motions and motions[0] in ("stopped", "lost"):
-        assert not rehearsed.has_step(1, 1)
-        assert "no step 1: seeker" in tracker_trouble(rehearsed)
+    assert rehearsed.run(lambda: any(motion.step == 1 for motion in rehearsed.messages("seeker/motion", 1)), 6.0)
+    rehearsed.run(lambda: False, 1.0)
+    (motion,) = (message for message in rehearsed.messages("seeker/motion", 1) if message.step == 1)
+    assert motion.result in ("stopped", "lost") and motion.reason
+    assert not rehearsed.has_step(1, 1)
+    assert f"no step 1: seeker {motion.result}: {motion.reason}" in tracker_trouble(rehearsed)
     assert "seeker" in rehearsed.runtimes[1].health_report("ok").reason
     rehearsed.phase(1, "aborted")
     rehearsed.unplug()
