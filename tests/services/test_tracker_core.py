@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
+import msgspec
 import numpy as np
 import pytest
 
@@ -145,6 +147,19 @@ def test_after_a_calibration_in_mid_game_no_layout_is_said_before_its_boxes_are_
     assert all(len(layout.obstacles) == 3 for layout in shown.layouts)
 
 
+def test_a_calibration_made_in_mid_game_counts(shown: Shown) -> None:
+    shown.phase(1, "setup")
+    shown.show(picture(), 10)
+    before = shown.layouts[-1].obstacles
+    tags = CALIBRATED.table.obstacles
+    table = msgspec.structs.replace(CALIBRATED.table, obstacles=(msgspec.structs.replace(tags[0], along=0.02), *tags[1:]))
+    shown.core.step(Captured(CALIBRATION, CALIBRATED._replace(table=table), shown.now), shown.now)
+    shown.show(picture(), 10)
+    after = shown.layouts[-1].obstacles
+    assert math.hypot(after[0].x - before[0].x, after[0].y - before[0].y) == pytest.approx(0.02, abs=1e-3)
+    assert "was moved" not in shown.trouble()
+
+
 def test_a_box_whose_tag_is_hidden_stays_in_the_layout_of_the_game_and_leaves_it_after(shown: Shown) -> None:
     shown.phase(1, "setup")
     shown.show(picture(), 10)
@@ -196,6 +211,15 @@ def test_a_step_that_is_out_is_not_captured_again_by_a_tracker_that_was_restarte
     shown.rest(1, 5)
     shown.look()
     assert shown.poses() == [(1, 5), (1, 5)]
+
+
+def test_a_tick_that_comes_late_ends_the_capture_of_a_step_that_is_out(shown: Shown) -> None:
+    shown.phase(1, "running")
+    shown.rest(1, 4, age=2 * SECOND)
+    shown.wait(RESUMING)
+    shown.hear("tick", Tick(stamp=shown.now, episode=1, step=4))
+    shown.look()
+    assert shown.poses() == []
 
 
 @pytest.mark.parametrize("ticked", [3, None])
