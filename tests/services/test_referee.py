@@ -293,3 +293,15 @@ def test_no_game_without_a_driver() -> None:
     for name in ("tracker", "seeker", "planner"):
         assert messages(core.step(Changed(name, True), 0)) == []
     assert len(messages(core.step(Changed("robot", True), 0))) == 1
+
+
+def test_a_layout_of_another_game_does_not_renew_the_patience_of_the_set_up() -> None:
+    table = Table(autoplay=True, games=1, setup_patience=10.0)
+    (setup,) = table.arrive()
+    assert isinstance(setup, Episode)
+    began = table.now
+    for number in (0, setup.episode + 1):
+        table.now += 4 * SECOND
+        table.send(Arrived("layout", Layout(stamp=table.now, episode=number)))
+    (aborted,) = table.wake()
+    assert isinstance(aborted, Episode) and aborted.phase == "aborted" and table.now == began + 10 * SECOND

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 
 import pytest
 
@@ -12,7 +13,7 @@ from services.robot.core import RobotCore
 from services.robot.link import Link
 from services.robot.settings import RobotSettings
 from tests.drive.emulated import EmulatedTable, TrackerSettings, driver
-from vantage.drive.protocol import EMERGENCY_STOP, EmergencyStop, LineReader, SetSpeeds, Telemetry, encode
+from vantage.drive.protocol import EMERGENCY_STOP, WATCHDOG, EmergencyStop, LineReader, SetSpeeds, Telemetry, encode
 from vantage.rehearsal.firmware import FirmwareSettings
 from vantage.service import SECOND, Captured, Woken, Write
 from vantage.world.layout import LAB
@@ -544,3 +545,40 @@ def test_a_noisier_camera_is_believed_less() -> None:
     rows, unreported = driver.play(settings)
     assert unreported == 0
     assert max(row.distance for row in rows if row.motion.result == "completed") <= 0.002
+
+
+def test_encoders_that_run_over_32_bits_tell_no_jump() -> None:
+    link = Link("hider", "/dev/x")
+    now, highest, lowest = 10**15, 2**31 - 1, -(2**31)
+    link.hear(encode(Telemetry(0, 8000, 0, highest - 1, lowest + 2, 8000, 0)), now)
+    (second,) = link.hear(encode(Telemetry(1, 8020, 0, lowest + 1, highest, 8000, 0)), now + SECOND // 50)
+    assert (second.left, second.right) == (3, -3)
+
+
+def test_who_asks_before_a_port_is_opened_again_must_ask_again() -> None:
+    """However short that was: somebody may have pressed the button meanwhile, or it is another robot."""
+    link = Link("hider", "/dev/x")
+    now = 10**15
+    latched = Telemetry(0, 8000, 0, 0, 0, 8000, EMERGENCY_STOP)
+    link.hear(encode(latched), now)
+    link.asked()
+    assert link.may_clear
+    link.opened(now + SECOND // 10)
+    link.hear(encode(latched), now + SECOND // 8)
+    assert link.can_clear and not link.may_clear
+
+
+def test_speeds_are_sent_again_before_the_watchdog_stops_a_moving_robot_that_says_nothing() -> None:
+    """Lines to the robot are lost as well: several must fit into the watchdog's time."""
+    table = at_start()
+    for robot in ROBOTS:
+        table.say(f"{robot}/command", Command(stamp=table.now, episode=1, step=0, primitive="forward"))
+    assert table.run(lambda: table.bodies["hider"].left_speed > 0.03, 1.0)
+    sent: list[int] = []
+    hider = table.firmwares["hider"]
+    hider.feed = lambda data, now: sent.append(now)  # type: ignore[method-assign]
+    hider.advance = lambda now, boxes, other: b""  # type: ignore[method-assign]
+    began = table.now
+    table.run(lambda: False, 0.3)
+    assert table.motions == [] and len(sent) >= 5
+    assert max(after - before for before, after in pairwise([began, *sent, table.now])) < 0.25 * WATCHDOG * SECOND

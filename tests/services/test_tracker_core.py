@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from schemas import ROBOTS, Box, Episode, Layout, Message, Motion, Pose, Tick
+from schemas import ROBOTS, Box, DepthImage, Episode, Layout, Message, Motion, Pose, Tick
 from services.tracker.core import CALIBRATION, OVERHEAD, RESUMING, Calibrated, TrackerCore
 from tests.tracking.overhead_scene import START, calibration, covered, picture
 from vantage.service import SECOND, Arrived, Captured, Publish, Send, Woken
@@ -274,3 +274,43 @@ def test_pictures_of_another_size_are_a_trouble_and_no_crash(shown: Shown) -> No
     shown.look()
     assert shown.poses() == [(1, 0), (1, 0)]
     assert shown.trouble() == ""
+
+
+def test_what_was_captured_before_the_later_of_both_motions_ended_does_not_count(shown: Shown) -> None:
+    """The other robot still moved, and is in the pictures, too."""
+    shown.phase(1, "setup")
+    for robot, age in (("hider", 4 * SECOND // 10), ("seeker", 0)):
+        shown.look()
+        shown.wait(SECOND // 5)
+        motion = Motion(stamp=shown.now - age, episode=1, step=0, primitive="stay", result="completed")
+        shown.hear(f"{robot}/motion", motion)
+    assert shown.poses() == []
+    shown.look()
+    assert shown.poses() == [(1, 0), (1, 0)]
+
+
+def test_each_robots_pictures_are_made_of_its_own_camera_by_its_own_calibration(shown: Shown) -> None:
+    level = msgspec.structs.replace(default_rgbd(), tilt=0.0)
+    finer = msgspec.structs.replace(level, depth_unit=0.0005)
+    shown.core = TrackerCore(CALIBRATED._replace(robots={"hider": level, "seeker": finer}))
+    shown.phase(1, "setup")
+    shown.rest(1, 0)
+    shown.show(picture())
+    for robot, counts in (("hider", 400), ("seeker", 1200)):
+        value = (np.full((480, 640), counts, np.uint16), np.zeros((480, 640, 3), np.uint8))
+        shown._keep(shown.core.step(Captured(f"{robot} camera", value, shown.now), shown.now))
+    depths = {key: np.frombuffer(m.data, "<u2").max() for key, m in shown.said if isinstance(m, DepthImage)}
+    assert depths == {"hider/depth": 400, "seeker/depth": 600}
+
+
+def test_no_layout_is_said_while_the_overhead_camera_gives_no_frames(shown: Shown) -> None:
+    """It would renew the referee's patience, and be of a table that nobody looks at."""
+    shown.phase(1, "setup")
+    shown.show(picture(), 10)
+    shown.wait(3 * SECOND)
+    said = len(shown.layouts)
+    assert said > 0
+    shown.wait(10 * SECOND)
+    assert len(shown.layouts) == said
+    shown.show(picture(), 30)
+    assert len(shown.layouts) > said

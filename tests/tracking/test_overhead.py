@@ -253,3 +253,14 @@ def test_a_clock_that_jumps_backwards_or_far_ahead_is_survived() -> None:
     observation = watch.show(seen, 12)
     assert_exact(observation)
     assert len(observation.boxes) == 3 and observation.troubles == ()
+
+
+def test_of_two_tags_of_one_box_the_one_where_it_stood_is_used_and_both_are_told() -> None:
+    watch, seen = Watch(), picture()
+    still = watch.show(seen, 10).boxes
+    twins, told = copied(seen, 10, 800, 560), False
+    for _ in range(150):
+        observation = watch.show(twins)
+        assert observation.boxes == still
+        told |= any("box tag 10 is seen twice, at (" in trouble for trouble in observation.troubles)
+    assert told
