@@ -33,7 +33,8 @@ def simulation_seeds(seed: int, simulations: int) -> NDArray[np.int64]:
 
 
 @kernel
-def _catch_steps(lens, boxes, start, goals, attention, catch_distance, steps, known_seed, seeds, minds, caught_out):  # type: ignore[no-untyped-def]
+def catch_steps_of_goals(lens, boxes, start, goals, attention, catch_distance, steps, known_seed, seeds, minds, caught_out):  # type: ignore[no-untyped-def]
+    """Move the hider to every goal with every seed: catch steps to int32 [G, S]. See `roll_out_game`."""
     no_primitives, no_track = np.empty(0, np.int64), np.empty((0, 2, 3))
     for g in range(len(goals)):
         for s in range(len(seeds)):
@@ -72,7 +73,7 @@ def catch_steps(
     """
     caught = np.empty((len(goals), len(seeds)), np.int32)
     places = GOALS[np.asarray(goals, np.int64)]
-    _catch_steps(
+    catch_steps_of_goals(
         *(Lens.of(Camera()), start.boxes, start.poses, places, PRESETS[seeker], start.catch_distance, steps, start.seed),
         *(np.asarray(seeds, np.int64), Minds.empty(), caught),
     )
@@ -80,7 +81,7 @@ def catch_steps(
 
 
 @kernel
-def _continuations(  # type: ignore[no-untyped-def]
+def catch_steps_of_continuations(  # type: ignore[no-untyped-def]
     lens,
     boxes,
     start,
@@ -96,6 +97,7 @@ def _continuations(  # type: ignore[no-untyped-def]
     minds,
     caught_out,
 ):
+    """Play one game on with every seed: catch steps to int32 [S]. See `roll_out_game`."""
     no_track = np.empty((0, 2, 3))
     for s in range(len(seeds)):
         caught_out[s] = roll_out_game(
@@ -140,7 +142,7 @@ def oracle_catch_steps(
         episode = dataset.episodes[row]
         start, goal, primitives = recorded_hider(dataset, row)
         caught = np.empty(simulations, np.int32)
-        _continuations(
+        catch_steps_of_continuations(
             *(lens, start.boxes, start.poses, goal[0], goal[1], primitives, PRESETS[episode["seeker"].decode()]),
             *(start.catch_distance, int(samples.start[index] + samples.horizon[index]), start.seed, int(samples.start[index])),
             *(simulation_seeds(start.seed, simulations), Minds.empty(), caught),

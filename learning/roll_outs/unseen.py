@@ -17,10 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from learning.dataset import Dataset, Samples
-from learning.roll_outs.game import Lens, Minds, roll_out_game
-from learning.roll_outs.outcomes import recorded_hider, simulation_seeds
+from learning.roll_outs.game import Lens, Minds
+from learning.roll_outs.outcomes import (
+    catch_steps_of_continuations,
+    catch_steps_of_goals,
+    recorded_hider,
+    simulation_seeds,
+)
 from learning.roll_outs.start import Start
-from services.seeker.policy import PRESETS, Attention
+from services.seeker.policy import PRESETS
 from vantage.compiled import kernel
 from vantage.world.arena import ARENA_SIZE, GOALS, HIDER, ROBOT_RADIUS, SEEKER
 from vantage.world.camera import Camera
@@ -82,46 +87,6 @@ def draw_unseen(
     return -1
 
 
-@kernel
-def _imagined(
-    lens: Lens,
-    boxes: NDArray[np.float64],
-    start: NDArray[np.float64],
-    goal_x: float,
-    goal_y: float,
-    primitives: NDArray[np.int64],
-    attention: Attention,
-    catch_distance: float,
-    steps: int,
-    known_seed: int,
-    seeds: NDArray[np.int64],
-    minds: Minds,
-    caught_out: NDArray[np.int32],
-) -> int:
-    no_track, arena, failed = np.empty((0, 2, 3)), np.empty_like(boxes), 0
-    for s in range(len(seeds)):
-        failed += draw_unseen(lens.rightward, lens.mount_height, boxes, start, seeds[s], arena) < 0
-        caught_out[s] = roll_out_game(
-            lens,
-            arena,
-            ARENA_SIZE,
-            ARENA_SIZE,
-            start,
-            goal_x,
-            goal_y,
-            primitives,
-            attention,
-            catch_distance,
-            steps,
-            known_seed,
-            0,
-            seeds[s],
-            minds,
-            no_track,
-        )
-    return failed
-
-
 def imagined_catch_steps(
     dataset: Dataset, samples: Samples, simulations: int, workers: int = 0, progress: Callable[[int], None] | None = None
 ) -> tuple[NDArray[np.int32], float]:
@@ -146,12 +111,14 @@ def imagined_catch_steps(
         if episode["layout"] != b"random":
             raise ValueError(f"the episode of seed {int(episode['seed'])} is not of the layout `random`")
         start, goal, primitives = recorded_hider(dataset, row)
-        caught = np.empty(simulations, np.int32)
-        failed = _imagined(
-            *(lens, start.boxes, start.poses, goal[0], goal[1], primitives, PRESETS[episode["seeker"].decode()]),
-            *(start.catch_distance, int(samples.horizon[index]), start.seed),
-            *(simulation_seeds(start.seed, simulations), Minds.empty(), caught),
-        )
+        caught, arena, minds, failed = np.empty(simulations, np.int32), np.empty_like(start.boxes), Minds.empty(), 0
+        for s, seed in enumerate(simulation_seeds(start.seed, simulations)):
+            failed += draw_unseen(lens.rightward, lens.mount_height, start.boxes, start.poses, seed, arena) < 0
+            catch_steps_of_continuations(
+                *(lens, arena, start.poses, goal[0], goal[1], primitives, PRESETS[episode["seeker"].decode()]),
+                *(start.catch_distance, int(samples.horizon[index]), start.seed, 0),
+                *(np.array([seed]), minds, caught[s : s + 1]),
+            )
         if progress:
             progress(1)
         return caught, failed
@@ -161,53 +128,18 @@ def imagined_catch_steps(
     return np.stack([caught for caught, _ in found]), sum(failed for _, failed in found) / (len(found) * simulations)
 
 
-@kernel
-def _imagined_goals(
-    lens: Lens,
-    boxes: NDArray[np.float64],
-    start: NDArray[np.float64],
-    goals: NDArray[np.float64],  # [G, 2] m
-    attention: Attention,
-    catch_distance: float,
-    steps: int,
-    known_seed: int,
-    seeds: NDArray[np.int64],
-    minds: Minds,
-    caught_out: NDArray[np.int32],  # [G, S]
-) -> None:
-    no_track, no_primitives, arena = np.empty((0, 2, 3)), np.empty(0, np.int64), np.empty_like(boxes)
-    for s in range(len(seeds)):
-        draw_unseen(lens.rightward, lens.mount_height, boxes, start, seeds[s], arena)
-        for g in range(len(goals)):
-            caught_out[g, s] = roll_out_game(
-                lens,
-                arena,
-                ARENA_SIZE,
-                ARENA_SIZE,
-                start,
-                goals[g, 0],
-                goals[g, 1],
-                no_primitives,
-                attention,
-                catch_distance,
-                steps,
-                known_seed,
-                0,
-                seeds[s],
-                minds,
-                no_track,
-            )
-
-
 def imagined_goal_steps(
     start: Start, goals: NDArray[np.integer], seeds: NDArray[np.integer], seeker: str, steps: int
 ) -> NDArray[np.int32]:
     """Return the step [G, S] at which the hider is caught that drives to goal g in the s-th arena that looks the same to it; -1:
     it survives `steps`. Arguments as of `catch_steps`; the layout must be `random`.
     """
-    caught = np.empty((len(goals), len(seeds)), np.int32)
-    _imagined_goals(
-        *(Lens.of(Camera()), start.boxes, start.poses, GOALS[np.asarray(goals, np.int64)], PRESETS[seeker]),
-        *(start.catch_distance, steps, start.seed, np.asarray(seeds, np.int64), Minds.empty(), caught),
-    )
-    return caught
+    lens, places, minds = Lens.of(Camera()), GOALS[np.asarray(goals, np.int64)], Minds.empty()
+    caught, arena = np.empty((len(seeds), len(goals), 1), np.int32), np.empty_like(start.boxes)
+    for s, seed in enumerate(np.asarray(seeds, np.int64)):
+        draw_unseen(lens.rightward, lens.mount_height, start.boxes, start.poses, seed, arena)
+        catch_steps_of_goals(
+            *(lens, arena, start.poses, places, PRESETS[seeker], start.catch_distance, steps, start.seed),
+            *(np.array([seed]), minds, caught[s]),
+        )
+    return caught[:, :, 0].T
