@@ -69,7 +69,7 @@ class ProcessReplay:
         self._request: Message | None = None
         self.said: dict[str, list[Message]] = {key: [] for key in core.declaration.outputs if not key.startswith("health/")}
         self.recorded: dict[str, list[Message]] = {key: [] for key in self.said}
-        for service in core.declaration.heeds:
+        for service in (name for names in core.declaration.heeds for name in names.split("|")):
             self._step(Changed(service, True), 0)
 
     def feed(self, record: Record) -> None:
