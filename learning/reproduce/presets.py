@@ -117,7 +117,7 @@ _MAIN = Kind("glancing", "random", 200, _PAPER_GAMES)
 _LARGE = Kind("glancing", "random", 200, (18_000, 500, 500), "large")
 
 
-RELEASED = Group("released", ("vpt-tob", "hazard-attention"), "compact", 0, maps=True)
+RELEASED = Group("released", ("vpt-tob", "hazard-attention"), "compact", 0, maps=True, mapped=("vpt-tob", "hazard-attention"))
 """The weights of this release, judged on the same examples and maps."""
 
 
@@ -156,7 +156,7 @@ PRESETS: dict[str, Preset] = {
     # Some two hours; the networks trained for longer are the released ones.
     "hours": Preset(
         main=_MAIN,
-        others=_other_kinds((300, 50, 300))[:2],
+        others=_other_kinds((300, 50, 300))[1:2],
         groups=(
             Group(
                 "compared",
