@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from learning.accuracy.report import CLOCK, ORACLE
+from learning.accuracy.report import CLOCK, ORACLE, VIEW_ORACLE
 from learning.figures.charts import headline
 from learning.figures.style import title_of
 from learning.reproduce import tables
 from learning.reproduce.presets import RELEASED
 from learning.reproduce.tables import Findings, interval, markdown, percent
-from learning.value_maps.report import ANOTHER, ONE_SIMULATION
+from learning.value_maps.report import ANOTHER, ONE_SIMULATION, VIEW_ORACLE_MAP
 
 
 @dataclass(frozen=True)
@@ -72,9 +72,25 @@ def targets(found: Findings, preset: str) -> list[Target]:
     if ceiling and ceiling["mean"] is not None:
         text = f"{percent(ceiling['mean'])} % {interval(ceiling['interval 95 %'])}"
         rows.append(Target("the same of a second simulation: about 94 %", text, abs(ceiling["mean"] - 0.94) <= 0.02))
+    rows += _knowable(found)
     rows += _loss(found)
     rows += _size(found)
     return rows + _time(found) if preset == "quick" else rows
+
+
+def _knowable(found: Findings) -> list[Target]:
+    """What can be known from the hider's view: not asked for, and the measure of what was."""
+    rows = []
+    asked = tables.set_of(found.accuracy, "first", headline(found.accuracy)["horizon limit"])
+    if asked and VIEW_ORACLE in asked["methods"]:
+        one, clock = asked["methods"][VIEW_ORACLE], asked["methods"][CLOCK]["accuracy"]
+        text = f"{percent(one['accuracy'])} % {interval(one['accuracy interval 95 %'])} ({CLOCK}: {percent(clock)} %)"
+        rows.append(Target("beside it, what can be known from the hider's view (`view oracle`, t0 = 0), accuracy", text, None))
+    one = tables.best_tie_free(found.maps, VIEW_ORACLE_MAP) if found.maps else None
+    if one and one["mean"] is not None:
+        text = f"{percent(one['mean'])} % {interval(one['interval 95 %'])}, mean of {found.maps['simulations']} simulations"
+        rows.append(Target("the same, relative ranking accuracy, tie-free", text, None))
+    return rows
 
 
 def _size(found: Findings) -> list[Target]:
@@ -115,9 +131,9 @@ def target_table(found: Findings, preset: str) -> list[str]:
     """Return asked and reached, with a plain word on each."""
     rows = targets(found, preset)
     words = {True: "met", False: "**not met**", None: ""}
-    met = sum(row.met is True for row in rows)
+    met, judged = sum(row.met is True for row in rows), sum(row.met is not None for row in rows)
     table = markdown(["asked for", "reached [95 %]", ""], [[row.wanted, row.reached, words[row.met]] for row in rows])
-    return [f"{met} of {len(rows)} met. Each is judged by its value, not by the interval's end.", "", *table]
+    return [f"{met} of {judged} met. Each is judged by its value, not by the interval's end.", "", *table]
 
 
 def _scale(found: Findings, group: str, name: str) -> str:
