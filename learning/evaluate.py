@@ -90,7 +90,7 @@ def main(settings: EvaluateSettings) -> int:
                 asked = examples.part(0, min(settings.oracle_samples, len(examples)))
                 try:
                     logits[ORACLE] = consult_oracle(data, asked, settings.oracle, settings.threads, console)
-                    if start == "first" and data.manifest["layouts"] == ["random"]:
+                    if start == "first" and set(data.manifest["layouts"]) == {"random"}:
                         logits[VIEW_ORACLE] = consult_view_oracle(data, asked, settings.oracle, settings.threads, console)
                 except ValueError as error:
                     warnings += [line for line in [f"no oracle: {error}"] if line not in warnings]
