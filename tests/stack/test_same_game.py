@@ -29,7 +29,10 @@ from vantage.world.camera import Camera
 
 SEED = 11
 CAMERA = Camera(width=160, height=120)
-GAME_TOPICS = tuple(key for key in TOPICS if not key.startswith("health/") and key not in ("control", "gap"))
+IN_SIMULATION = {"simulator", "referee", "seeker", "planner", "predictor"}
+GAME_TOPICS = tuple(
+    key for key, topic in TOPICS.items() if not key.startswith("health/") and IN_SIMULATION.intersection(topic.publishers)
+)
 
 
 def in_process_log(path: Path) -> Path:
