@@ -47,7 +47,7 @@ class DeviceLost(Exception):
 
 
 class Device(Protocol):
-    """A camera or a port. All but `write` and `interrupt` are called by one thread."""
+    """A camera or a port. All but `write` are called by one thread."""
 
     name: str
     newest_only: bool
