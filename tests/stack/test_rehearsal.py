@@ -74,18 +74,23 @@ def test_a_game_is_played_through_cameras_and_wheels(rehearsal: Table) -> None:
 
 def test_its_log_keeps_the_contract(rehearsal: Table) -> None:
     """From the log alone: every step's pictures and poses are there, captured after the motions that led to them."""
-    deadline = time.monotonic() + 5.0
-    ended: list[Episode] = []
-    while not ended:
-        assert time.monotonic() < deadline, "the end of the game is not on the log"
+    deadline = time.monotonic() + 15.0
+    while True:
         said = read_back(rehearsal)
         ended = [message for message in said if isinstance(message, Episode) and message.phase == "ended"]
-    game = ended[0]
-    steps = range(game.step + 1)
-    of_game = [message for message in said if message.episode == game.episode]
-    poses = [message for message in of_game if isinstance(message, Pose)]
-    motions = [message for message in of_game if isinstance(message, Motion)]
-    pictures = [message for message in of_game if isinstance(message, DepthImage | ColorImage)]
+        in_time = time.monotonic() < deadline
+        assert ended or in_time, "the end of the game is not on the log"
+        if not ended:
+            continue
+        game = ended[0]
+        steps = range(game.step + 1)
+        of_game = [message for message in said if message.episode == game.episode]
+        poses = [message for message in of_game if isinstance(message, Pose)]
+        motions = [message for message in of_game if isinstance(message, Motion)]
+        pictures = [message for message in of_game if isinstance(message, DepthImage | ColorImage)]
+        # Topics are recovered each for itself: on a busy machine a picture may reach the log after the end of the game.
+        if len(pictures) >= 4 * len(steps) or not in_time:
+            break
     assert [pose.step for pose in poses] == [step for step in steps for _ in ROBOTS]
     assert sorted(motion.step for motion in motions) == [step for step in steps for _ in ROBOTS]
     assert sorted(picture.step for picture in pictures) == [step for step in steps for _ in range(4)]
