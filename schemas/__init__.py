@@ -2,10 +2,12 @@
 
 from schemas.codec import MalformedMessage, decode, encode
 from schemas.messages import (
+    FASTEST,
     GOAL_COUNT,
     PRIMITIVES,
     REASON_LIMIT,
     ROBOTS,
+    SLOWEST,
     STATE_IMAGE_SIZE,
     Box,
     ColorImage,
@@ -21,6 +23,7 @@ from schemas.messages import (
     Message,
     Motion,
     Plan,
+    Playback,
     Players,
     Pose,
     PredictReply,
@@ -36,11 +39,13 @@ from schemas.topics import CALLS, SERVICES, TOPICS, Call, Delivery, Topic
 
 __all__ = [
     "CALLS",
+    "FASTEST",
     "GOAL_COUNT",
     "PRIMITIVES",
     "REASON_LIMIT",
     "ROBOTS",
     "SERVICES",
+    "SLOWEST",
     "STATE_IMAGE_SIZE",
     "TOPICS",
     "Box",
@@ -60,6 +65,7 @@ __all__ = [
     "Message",
     "Motion",
     "Plan",
+    "Playback",
     "Players",
     "Pose",
     "PredictReply",

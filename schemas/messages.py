@@ -26,6 +26,8 @@ ROBOTS: tuple[Robot, Robot] = ("hider", "seeker")
 PRIMITIVES: tuple[Primitive, ...] = ("stay", "forward", "backward", "left", "right")
 
 GOAL_COUNT = 121
+SLOWEST, FASTEST = 0.1, 100.0
+"""Speeds of a replay."""
 STATE_IMAGE_SIZE = 128
 MAXIMUM_STEPS = 100_000
 
@@ -86,9 +88,13 @@ class Players(Struct, frozen=True, kw_only=True):
     """Who drives the robots."""
 
     hider: Annotated[
-        ShortText, Meta(description="policy of the hider: `planner`, or a row of the hider table of `vantage collect`")
+        ShortText,
+        Meta(description="who drives the hider: `planner`, `human` (at the console), or a row of the hider table of `vantage collect`"),
     ] = "planner"
     seeker: Annotated[ShortText, Meta(description="preset of the seeker: `expert` or `glancing`")] = "glancing"
+    person: Annotated[
+        ShortText, Meta(description="name or pseudonym of the human who drives; empty when none does, or it is not to be stored")
+    ] = ""
 
 
 class Episode(Message, frozen=True, kw_only=True):
@@ -101,6 +107,7 @@ class Episode(Message, frozen=True, kw_only=True):
     outcome: Outcome = "undecided"
     caught_step: Annotated[StepNumber | None, Meta(description="step of the catch; null unless caught")] = None
     reason: Annotated[ShortText, Meta(description="why it ended or was aborted, for people")] = ""
+    paused: Annotated[bool, Meta(description="the step clock of a running game stands still; said again when it goes on")] = False
 
 
 class Tick(Message, frozen=True, kw_only=True):
@@ -351,13 +358,41 @@ class Health(Message, frozen=True, kw_only=True):
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """People's wishes: start games or stop them."""
+    """People's wishes: start games or stop them, hold the clock, take back a game, move about in a replayed log."""
 
-    action: Literal["start", "stop"]
-    seed: Annotated[Count, Meta(description="of the first game; game n uses seed + n - 1")] = 1
-    games: Annotated[Count, Meta(description="how many games; 0 = until stopped")] = 1
+    action: Annotated[
+        Literal["start", "stop", "pause", "resume", "discard", "seek"],
+        Meta(
+            description="start, stop: games; pause, resume: the step clock of a game, or a replay; discard: episode `episode` is "
+            "not to be used as data; seek: a replay goes on at `position`"
+        ),
+    ]
+    seed: Annotated[Count, Meta(description="start: seed of the first game; game n uses seed + n - 1")] = 1
+    games: Annotated[Count, Meta(description="start: how many games; 0 = until stopped")] = 1
     rules: Rules = field(default_factory=Rules)
     players: Players = field(default_factory=Players)
+    position: Annotated[Seconds, Meta(description="seek: s after the log's first message")] = 0.0
+    speed: Annotated[
+        Annotated[float, Meta(ge=SLOWEST, le=FASTEST)] | None,
+        Meta(description="resume: a replay goes on so many times as fast as it was recorded; null: as before"),
+    ] = None
+
+    def __post_init__(self) -> None:
+        _require_finite("control", self.position, *(() if self.speed is None else (self.speed,)))
+
+
+class Playback(Message, frozen=True, kw_only=True):
+    """How the replay of a log stands. `stamp` is the log's clock; episode and step are those reached."""
+
+    log: Annotated[ShortText, Meta(description="name of the log")]
+    position: Annotated[Seconds, Meta(description="s after the log's first message")]
+    duration: Annotated[Seconds, Meta(description="s from the log's first message to its last")]
+    speed: Annotated[float, Meta(ge=SLOWEST, le=FASTEST, description="times as fast as it was recorded")] = 1.0
+    state: Literal["playing", "paused", "ended"] = "playing"
+    jumps: Annotated[Count, Meta(description="how often it went to another place: what is shown is to be forgotten then")] = 0
+
+    def __post_init__(self) -> None:
+        _require_finite("playback", self.position, self.duration, self.speed)
 
 
 class Gap(Message, frozen=True, kw_only=True):

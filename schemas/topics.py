@@ -15,6 +15,7 @@ Delivery = Literal["lossless", "latest"]
 
 WORLD = ("simulator", "tracker")
 HIDER = ("planner", "console", "hider")
+"""Who may drive the hider: `Episode.players.hider` says who does in a game, the others are silent."""
 DRIVERS = ("robot", "onboard")
 """Who carries commands out on a real table: our driver, or a robot that speaks on the bus itself."""
 CAMERAS = ("rehearsal",)
@@ -83,9 +84,10 @@ TOPICS: dict[str, Topic] = {
         *(Topic(f"{robot}/camera/depth", m.DepthImage, CAMERAS, "latest", rate=5.0, recorded=False) for robot in m.ROBOTS),
         *(Topic(f"{robot}/camera/color", m.ColorImage, CAMERAS, "latest", rate=5.0, recorded=False) for robot in m.ROBOTS),
         Topic("hider/plan", m.Plan, HIDER),
-        Topic("predictor/request", m.PredictRequest, ("predictor",), cache=16, history=0),
-        Topic("predictor/reply", m.PredictReply, ("predictor",), cache=16, history=0),
+        Topic("predictor/request", m.PredictRequest, ("predictor", "replay"), cache=16, history=0),
+        Topic("predictor/reply", m.PredictReply, ("predictor", "replay"), cache=16, history=0),
         Topic("control", m.Control, ("console", "command-line"), history=0),
+        Topic("playback", m.Playback, ("replay",), rate=2.0, recorded=False),
         Topic("gap", m.Gap, ("recorder",), history=0),
         *(Topic(f"health/{service}", m.Health, (service,), rate=1.0, cache=16) for service in SERVICES),
     )

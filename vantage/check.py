@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from schemas import CALLS, TOPICS
-from schemas.topics import CAMERAS
+from schemas.topics import CAMERAS, HIDER
 from vantage.deployment import Program, configuration_of, programs_of
 from vantage.service import Declaration
 
@@ -26,6 +26,11 @@ def _may_lack_publisher(key: str, services: Iterable[str]) -> bool:
     if key in PEOPLE or key.startswith("health/"):
         return True
     return TOPICS[key].publishers == CAMERAS and set(CAMERAS).isdisjoint(services)
+
+
+def _may_share(key: str) -> bool:
+    """Whether several services of a deployment may publish the key: what drives the hider changes from game to game."""
+    return TOPICS[key].publishers == HIDER
 
 
 def declaration_of(service: str) -> Declaration:
@@ -81,7 +86,7 @@ def troubles_with_wiring(declarations: Iterable[Declaration]) -> list[str]:
                 found = publishers.get(key, [])
                 if not found and _may_lack_publisher(key, here):
                     continue
-                if len(found) != 1:
+                if len(found) != 1 and not (found and _may_share(key)):
                     troubles.append(f"{declaration.name} hears {key}, published by {_listed(found)} (exactly one must)")
         troubles.extend(
             f"{declaration.name} publishes {key}, which the topic table does not allow it"
@@ -102,7 +107,7 @@ def troubles_with_wiring(declarations: Iterable[Declaration]) -> list[str]:
             waited_for = _listed(names.replace("|", " or ") for names in missing)
             troubles.append(f"{declaration.name} waits for {waited_for}, which this deployment does not have")
     for key, found in publishers.items():
-        if len(found) > 1:
+        if len(found) > 1 and not _may_share(key):
             troubles.append(f"{key} is published by {_listed(found)} (only one may)")
     return troubles
 

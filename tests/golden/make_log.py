@@ -27,6 +27,7 @@ from schemas import (
     Message,
     Motion,
     Plan,
+    Playback,
     Players,
     Pose,
     PredictReply,
@@ -51,7 +52,7 @@ def example(key: str, step: int) -> Message:
     lens = Intrinsics(fx=4.25, fy=4.25, cx=3.5, cy=0.0)
     image = (np.arange(128 * 128) // 4096).astype(np.uint8).tobytes()
     path = np.stack([np.linspace(0.3, 0.9, 7), np.full(7, 0.6), np.zeros(7)], axis=1).astype("<f4")
-    players = Players(hider="planner", seeker="expert")
+    players = Players(hider="human", seeker="expert", person="Ada")
     fields: dict[type[Message], dict[str, object]] = {
         Episode: {
             "seed": 42,
@@ -61,6 +62,7 @@ def example(key: str, step: int) -> Message:
             "rules": Rules(maximum_steps=200, layout="lab"),
             "players": players,
             "reason": "caught at 0.149 m" if step else "",
+            "paused": not step,
         },
         Tick: {"late": ("seeker",) if step else ()},
         Layout: {
@@ -114,7 +116,10 @@ def example(key: str, step: int) -> Message:
             "distinct": 2,
             "elapsed": 0.01,
         },
-        Control: {"action": "start", "seed": 42, "games": 2, "players": players},
+        Control: {"action": "seek", "position": 12.5, "speed": 2.0}
+        if step
+        else {"action": "start", "seed": 42, "games": 2, "players": players},
+        Playback: {"log": "table-20261125.mcap", "position": 1.5, "duration": 30.0, "speed": 2.0, "state": "paused", "jumps": 1},
         Gap: {"key": "hider/pose", "publisher": "simulator", "missed": 2},
         Health: {
             "service": key.rpartition("/")[2],
