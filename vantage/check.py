@@ -84,7 +84,7 @@ def troubles_with_wiring(declarations: Iterable[Declaration]) -> list[str]:
         if not declaration.raw:
             for key in declaration.inputs:
                 found = publishers.get(key, [])
-                if not found and _may_lack_publisher(key, here):
+                if not found and (declaration.audience or _may_lack_publisher(key, here)):
                     continue
                 if len(found) != 1 and not (found and _may_share(key)):
                     troubles.append(f"{declaration.name} hears {key}, published by {_listed(found)} (exactly one must)")

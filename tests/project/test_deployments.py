@@ -45,8 +45,18 @@ def test_a_missing_publisher_a_second_one_and_a_missing_server_are_found() -> No
     troubles = check.troubles_of(table)
     assert any("hears seeker/command, published by nobody" in trouble for trouble in troubles)
     assert any("planner calls predictor, served by nobody" in trouble for trouble in troubles)
-    twins = [Declaration(name, outputs=("hider/command",)) for name in ("planner", "console")]
-    assert check.troubles_with_wiring(twins) == ["hider/command is published by planner, console (only one may)"]
+    twins = [Declaration(name, outputs=("hider/pose",)) for name in ("simulator", "tracker")]
+    assert check.troubles_with_wiring(twins) == ["hider/pose is published by simulator, tracker (only one may)"]
+
+
+def test_who_drives_the_hider_may_change_from_game_to_game() -> None:
+    players = [Declaration(name, outputs=("hider/command",)) for name in ("planner", "console")]
+    assert check.troubles_with_wiring([*players, Declaration("simulator", inputs=("hider/command",))]) == []
+
+
+def test_an_audience_needs_nobody_to_listen_to() -> None:
+    assert check.troubles_with_wiring([Declaration("console", inputs=("episode",), audience=True)]) == []
+    assert check.troubles_with_wiring([Declaration("seeker", inputs=("episode",))]) != []
 
 
 def test_somebody_who_may_not_publish_is_found() -> None:

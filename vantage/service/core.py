@@ -21,6 +21,7 @@ class Declaration:
         inputs, outputs: short keys of the topic table.
         calls, serves: keys of the call table.
         heeds: services whose coming and going the core wants to know (`Changed`); `a|b`: one of the two is enough.
+        audience: shows whatever there is: its inputs may lack a publisher in a deployment.
         raw: inputs are key expressions, and reach the core undecoded, as `vantage.bus.Sample` (the recorder).
     """
 
@@ -30,6 +31,7 @@ class Declaration:
     calls: tuple[str, ...] = ()
     serves: tuple[str, ...] = ()
     heeds: tuple[str, ...] = ()
+    audience: bool = False
     raw: bool = False
 
     def __post_init__(self) -> None:
