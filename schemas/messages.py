@@ -89,9 +89,7 @@ class Players(Struct, frozen=True, kw_only=True):
 
     hider: Annotated[
         ShortText,
-        Meta(
-            description="who drives the hider: `planner`, `human` (at the console), or a row of the hider table of `vantage collect`"
-        ),
+        Meta(description="who drives the hider: `planner`, `human` (at the console), or a row of the table of `vantage collect`"),
     ] = "planner"
     seeker: Annotated[ShortText, Meta(description="preset of the seeker: `expert` or `glancing`")] = "glancing"
     person: Annotated[
