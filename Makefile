@@ -26,13 +26,13 @@ reproduce: .venv/demo.installed .venv/kernels.compiled
 	@.venv/bin/vantage reproduce --preset $(PRESET) $(OPTIONS)
 
 # Tests that start whole deployments measure time, so they run alone, after the others.
-test: .venv/test.installed .venv/kernels.compiled
+test: .venv/test.installed .venv/chromium.installed .venv/kernels.compiled
 	@status=0
 	.venv/bin/python -m pytest tests -m "not stack" -n 2 --dist loadfile || status=$$?
 	.venv/bin/python -m pytest tests -m stack || status=$$?
 	exit $$status
 
-setup: .venv/test.installed .venv/kernels.compiled
+setup: .venv/test.installed .venv/chromium.installed .venv/kernels.compiled
 
 clean:
 	@rm -rf .venv logs demo
@@ -76,11 +76,26 @@ define install
 endef
 
 .venv/demo.installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(call install,learning,torch==2.13.0)
+	$(call install,learning$(comma)console,torch==2.13.0)
 
 .venv/test.installed: pyproject.toml constraints.txt | .venv/bin/python
-	$(call install,learning$(comma)tracker$(comma)development,torch==2.13.0)
+	$(call install,learning$(comma)console$(comma)tracker$(comma)viewers$(comma)development,torch==2.13.0)
 	touch .venv/demo.installed
+
+# The console's page is tested in a real browser.
+.venv/chromium.installed: | .venv/bin/python
+	@if ! command -v chromium > /dev/null; then
+		echo "== Chromium is missing, which the tests of the console's page drive: asking apt for it"
+		apt=apt-get
+		[ "$$(id -u)" = 0 ] || apt="sudo -n apt-get"
+		export DEBIAN_FRONTEND=noninteractive
+		{ $$apt update -q && $$apt install -q -y --no-install-recommends chromium; } > .venv/apt.log 2>&1 || true
+	fi
+	if ! command -v chromium > /dev/null; then
+		echo "The tests need Chromium, and it could not be installed (see .venv/apt.log). As root: apt-get install chromium" >&2
+		exit 1
+	fi
+	touch $@
 
 .venv/kernels.compiled: $(KERNELS) | .venv/bin/python
 	@echo "== compiling the kernels"
