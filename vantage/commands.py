@@ -134,6 +134,8 @@ def up(settings: Up) -> int:
     memory = _mebibytes(sum(verdict.process.memory for verdict in verdicts) + deployment.supervisor_memory())
     took = time.monotonic() - started
     console.print(f"{settings.deployment} is up: {len(verdicts)} services healthy after {took:.1f} s, {memory} of memory")
+    if address := deployment.console_address():
+        console.print(f"watch and play in a browser: [bold]{escape(address)}[/]", soft_wrap=True)
     folder = "" if settings.folder is None else f" --folder {settings.folder}"
     name = "" if settings.deployment == "simulation" else f" {settings.deployment}"
     where = f" --deployment{name}" if name else ""

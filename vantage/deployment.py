@@ -24,6 +24,8 @@ from typing import Any
 
 COMPOSE = Path(__file__).resolve().parent.parent / "compose"
 CONFIGURATION = "deployment.conf"
+CONSOLE_ADDRESS = "console.address"
+"""File in which the console writes where its page is."""
 LONGEST_FOLDER = 80
 """A unix socket's path ends at about 108 characters; the name of the socket and supervisord's temporary ending need room."""
 
@@ -270,6 +272,13 @@ class Deployment:
             raise DeploymentError(f"{service} has written no log in {self.folder}: is {self.name} up?")
         return path
 
+    def console_address(self) -> str:
+        """Return the address of the console's page, with its token where it needs one; empty when there is no console."""
+        try:
+            return (self.folder / CONSOLE_ADDRESS).read_text().strip()
+        except OSError:
+            return ""
+
     def tail(self, service: str, lines: int = 12) -> str:
         """Return the last lines of a service's log, empty when there is none."""
         try:
@@ -320,7 +329,7 @@ class Deployment:
 
     def _clear_folder(self) -> None:
         """Remove what an earlier run left: only names that a deployment makes."""
-        for pattern in ("*.sock", "*.sock.*", "*.log", "*.log.[0-9]*", "supervisord.pid", CONFIGURATION):
+        for pattern in ("*.sock", "*.sock.*", "*.log", "*.log.[0-9]*", "supervisord.pid", CONFIGURATION, CONSOLE_ADDRESS):
             for path in self.folder.glob(pattern):
                 path.unlink(missing_ok=True)
         link = self.folder / "recordings"
