@@ -1,0 +1,32 @@
+"""The console as a process: `python -m services.console --help`."""
+
+import sys
+from dataclasses import dataclass, field
+
+import tyro
+
+from services.console.core import ConsoleCore
+from services.console.server import PageServer, ServerSettings
+from vantage.service import BusSettings, run
+
+
+@dataclass(frozen=True)
+class Settings:
+    """The console: a page in the browser that shows the game, and where a human plays the hider.
+
+    Examples:
+        python -m services.console --folder .
+        python -m services.console --folder . --port 0                   any free port; see `console.address` in the folder
+        python -m services.console --folder . --host 192.168.1.20        for others in the lab: with a token in the address
+    """
+
+    bus: tyro.conf.OmitArgPrefixes[BusSettings] = field(default_factory=BusSettings)
+    page: tyro.conf.OmitArgPrefixes[ServerSettings] = field(default_factory=ServerSettings)
+
+
+def main(settings: Settings) -> int:
+    return run(ConsoleCore, "console", settings.bus, [PageServer(settings.page, settings.bus.folder)])
+
+
+if __name__ == "__main__":
+    sys.exit(main(tyro.cli(Settings)))
