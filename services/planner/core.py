@@ -67,7 +67,10 @@ class _Pending:
 
 
 class PlannerCore:
-    """See module. Plans at the first complete step of an episode that it gets; the goal then stays (reading, row 23)."""
+    """See module. Plans at the first complete step of an episode that it gets; the goal then stays (reading, row 23).
+
+    In a game that somebody else drives (`players.hider`) it is silent, and keeps nothing.
+    """
 
     declaration = DECLARATION
 
@@ -104,6 +107,8 @@ class PlannerCore:
         if isinstance(message, Layout):
             self._layout = message
             return ()
+        if self._episode is None and message.episode == self._join.episode and not isinstance(message, Episode):
+            return ()  # the game is over, or somebody else's
         if isinstance(message, Tick) and message.late:
             if message.episode == self._join.episode and "hider" in message.late:
                 self._controller.forget_primitive()
@@ -111,9 +116,7 @@ class PlannerCore:
         if not isinstance(message, Episode):
             complete = self._join.add(received.key, message)
         elif message.phase == "setup" or (message.phase == "running" and message.episode != self._join.episode):
-            if message.players.hider != "planner":
-                raise Unexpected(f"the hider of episode {message.episode} is `{message.players.hider}`, not the planner")
-            self._episode = message
+            self._episode = message if message.players.hider == "planner" else None
             self._controller = Controller()
             self._pending = self._plan = self._latest = self._wake = None
             complete = self._join.begin(message.episode)

@@ -1,57 +1,38 @@
-"""The rules of the game as a pure core: sets games up, keeps the step clock, judges the catch, gives up on stalled games."""
+"""The rules of the game as a pure core: sets games up, keeps the step clock, judges the catch, gives up on stalled games.
+
+What people ask for (`control`):
+
+* `start`, `stop`: abort the game under way; games are played as asked, or no more.
+* `pause` in a running game: said at once (`Episode`, `paused`). The step under way is finished, with the usual patience, and the
+  catch judged; then there is no tick until `resume`, which is said too. In the set-up: the robots come to their starts, and the
+  game begins (`running`, `paused`) without its first tick. Between games: the next one is not set up; nothing is said. A game
+  that ends or is aborted while paused says so with `paused`, and the next one waits for `resume`, `start` or `stop`. A pause
+  makes no sense where no game is played and none is to follow.
+* `resume`: the tick that is due comes at once. Its `speed`, and `seek`, are for replays.
+* `discard`: the running game is aborted; of one that is over the message on the log is the record, and nothing is said.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from enum import Enum
 from typing import cast
 
-from schemas import REASON_LIMIT, ROBOTS, Command, Control, Episode, Health, Layout, Players, Pose, Robot, Rules, Tick
+from schemas import REASON_LIMIT, ROBOTS, Command, Control, Episode, Health, Layout, Pose, Robot, Tick
 from services.referee.declaration import DECLARATION
+from services.referee.drivers import HUMAN, HiderDrivers
+from services.referee.settings import RefereeSettings
 from vantage.service import SECOND, Arrived, Changed, Publish, Received, Send, Unexpected, Woken
 from vantage.world.arena import CATCH_TOLERANCE
+
+__all__ = ["RefereeCore", "RefereeSettings"]
 
 SHARE = 110
 """Letters of an abort's reason that one service's troubles may take."""
 
 _RESTARTED = "the referee was restarted; the setup of this game has its seed and rules"
-
-
-@dataclass(frozen=True)
-class RefereeSettings:
-    """How games are started and how long the referee waits for the players."""
-
-    autoplay: bool = False
-    """Start games without being asked, as soon as every required service is alive."""
-    games: int = 0
-    """How many games autoplay plays; 0 = without end."""
-    seed: int = 1
-    """Seed of episode 1 in autoplay; episode n uses seed + n - 1."""
-    first_episode: int = 1
-    """Number of the first episode."""
-    rules: Rules = field(default_factory=Rules)
-    """Rules of the games of autoplay."""
-    players: Players = field(default_factory=Players)
-    """Who plays in autoplay."""
-    required: tuple[str, ...] = DECLARATION.heeds
-    """Services that must be alive before a game is set up; `a|b`: one of the two."""
-    settle: float = 0.5
-    """Seconds to listen after the start, to hear of a game that a crashed referee left behind."""
-    pause: float = 2.0
-    """Seconds between games in real time."""
-    setup_patience: float = 10.0
-    """Seconds to wait for the first poses of a game, since the world last said how the table stands (`layout`): a real table
-    says it again and again while robots drive to their starts."""
-    setup_limit: float = 180.0
-    """Seconds that a set-up may take in all, however often the layout is said."""
-    planning_patience: float = 30.0
-    """Seconds to wait for the first commands: the hider paints its value map in this time."""
-    command_patience: float = 1.0
-    """Seconds after which a robot without a command stays where it is (real time only)."""
-    step_patience: float = 3.0
-    """Seconds to wait for the poses after a step before the game is aborted."""
 
 
 class _Phase(Enum):
@@ -86,6 +67,11 @@ class RefereeCore:
         self._poses: dict[str, Pose] = {}
         self._commanded: set[str] = set()
         self._ticked_at = 0
+        self._due = 0  # when the next tick comes
+        self._deadline = 0  # of the commands
+        self._held = False  # paused
+        self._drivers = HiderDrivers(self._settings.required, int(self._settings.driver_patience * SECOND))
+        self._driver_until: int | None = None  # until when the set-up waits for who drives the hider
         self._set_up_at = 0
         self._listening_since: int | None = None
         self._trouble_of_world: dict[str, str] = {}
@@ -110,7 +96,7 @@ class RefereeCore:
                 limit = self._set_up_at + int(self._settings.setup_limit * SECOND)
                 self._wake = min(now + int(self._settings.setup_patience * SECOND), limit)
             elif isinstance(message, Health):
-                self._trouble_of_world[message.service] = message.reason
+                return self._on_health(message, now)
             return ()
         if isinstance(received, Changed):
             (self._alive.add if received.alive else self._alive.discard)(received.service)
@@ -129,7 +115,7 @@ class RefereeCore:
         if self._wake is None or now < self._wake:
             return ()
         self._wake = None
-        if self._phase is _Phase.PAUSE:
+        if self._phase in (_Phase.PAUSE, _Phase.IDLE):
             self._phase = _Phase.IDLE
             return self._begin_if_possible(now)
         if self._phase is _Phase.SETUP:
@@ -137,6 +123,11 @@ class RefereeCore:
         if self._phase is _Phase.PACING:
             return self._tick(self._step, now)
         if self._phase is _Phase.COMMANDS:
+            if "hider" not in self._commanded and (lacking := self._drivers.lacking(self._players.hider, self._alive, now)):
+                return self._abort(lacking, now)
+            if now < self._deadline:
+                self._wake = min(now + SECOND, self._deadline)
+                return ()
             late = cast("tuple[Robot, ...]", tuple(robot for robot in ROBOTS if robot not in self._commanded))
             if self._rules.step_period == 0.0 or self._step == 0:
                 return self._abort(f"no command from the {' or the '.join(late)} for step {self._step}", now)
@@ -156,9 +147,30 @@ class RefereeCore:
         sends.extend(self._begin_if_possible(now))
         return sends
 
+    def _on_health(self, health: Health, now: int) -> Sequence[Send]:
+        if health.service != "console":
+            self._trouble_of_world[health.service] = health.reason
+            return ()
+        self._drivers.hear_console(now)
+        return self._begin_if_possible(now) if self._phase is _Phase.IDLE else ()
+
+    @property
+    def _in_game(self) -> bool:
+        return self._phase not in (_Phase.LISTENING, _Phase.IDLE, _Phase.PAUSE)
+
     def _on_control(self, control: Control, now: int) -> Sequence[Send]:
+        if control.action == "pause":
+            return self._hold(now)
+        if control.action == "resume":
+            return self._go_on(now)
+        if control.action == "discard":
+            return self._discard(control.episode, now)
+        if control.action == "seek":
+            raise Unexpected("seek is for the replay of a log: games go forward only")
+        self._held = False
+        self._driver_until = None
         sends: list[Send] = []
-        if self._phase not in (_Phase.LISTENING, _Phase.IDLE, _Phase.PAUSE):
+        if self._in_game:
             sends.extend(self._abort("stopped on request" if control.action == "stop" else "another game was asked for", now))
         if control.action == "stop":
             self._games_left = 0
@@ -174,9 +186,49 @@ class RefereeCore:
             sends.extend(self._begin_if_possible(now))
         return sends
 
-    def _begin_if_possible(self, now: int) -> Sequence[Send]:
-        if self._games_left == 0 or any(self._alive.isdisjoint(names.split("|")) for names in self._settings.required):
+    def _hold(self, now: int) -> Sequence[Send]:
+        if self._held:
             return ()
+        if not self._in_game and self._games_left == 0:
+            raise Unexpected("pause: no game is being played, and none is to follow")
+        self._held = True
+        if self._phase is _Phase.PACING:
+            self._wake = None
+        # In the set-up the world would take a repeated message for another one.
+        return (self._episode("running", now),) if self._in_game and self._phase is not _Phase.SETUP else ()
+
+    def _go_on(self, now: int) -> Sequence[Send]:
+        if not self._held:
+            raise Unexpected("resume: nothing is paused")
+        self._held = False
+        if self._phase is _Phase.IDLE:
+            return self._begin_if_possible(now)
+        if not self._in_game or self._phase is _Phase.SETUP:
+            return ()
+        said = self._episode("running", now)
+        return [said, *self._tick_when_due(now)] if self._phase is _Phase.PACING else (said,)
+
+    def _discard(self, number: int, now: int) -> Sequence[Send]:
+        if self._in_game and number == self._number:
+            return self._abort("discarded by the player", now)
+        if not 1 <= number <= self._number and self._phase is not _Phase.LISTENING:
+            raise Unexpected(f"discard: there was no episode {number}")
+        return ()
+
+    def _begin_if_possible(self, now: int) -> Sequence[Send]:
+        if self._held or self._games_left == 0:
+            return ()
+        if any(self._alive.isdisjoint(names.split("|")) for names in self._settings.required):
+            self._driver_until = None
+            return ()
+        lacking = self._drivers.lacking(self._players.hider, self._alive, now)
+        if lacking and self._drivers.may_come(self._players.hider):
+            if self._driver_until is None:
+                self._driver_until = now + int(self._settings.driver_patience * SECOND)
+            if now < self._driver_until:
+                self._wake = self._driver_until
+                return ()
+        self._driver_until = None
         if self._games_left is not None:
             self._games_left -= 1
         self._number += 1
@@ -187,7 +239,11 @@ class RefereeCore:
         self._phase = _Phase.SETUP
         self._set_up_at = now
         self._wake = now + int(self._settings.setup_patience * SECOND)
-        return (self._episode("setup", now),)
+        setup = self._episode("setup", now)
+        if lacking:
+            self._games_left = 0  # the next ones would fare no better
+            return [setup, *self._abort(lacking, now)]
+        return (setup,)
 
     def _on_pose(self, robot: str, pose: Pose, now: int) -> Sequence[Send]:
         expected = {_Phase.SETUP: 0, _Phase.COMMANDS: self._step + 1, _Phase.POSES: self._step + 1}.get(self._phase)
@@ -199,19 +255,23 @@ class RefereeCore:
         hider, seeker = self._poses["hider"], self._poses["seeker"]
         self._poses.clear()
         if self._phase is _Phase.SETUP:
-            return [self._episode("running", now), *self._tick(0, now)]
+            self._due = now
+            return [self._episode("running", now), *self._tick_when_due(now)]
         reached = self._step + 1
         distance = math.hypot(hider.x - seeker.x, hider.y - seeker.y)
         if self._rules.catching and distance <= self._rules.catch_distance + CATCH_TOLERANCE:
             return self._end("caught", reached, now)
         if reached >= self._rules.maximum_steps:
             return self._end("survived", reached, now)
-        due = self._ticked_at + int(self._rules.step_period * SECOND)
-        if now >= due:
-            return self._tick(reached, now)
-        self._phase = _Phase.PACING
         self._step = reached
-        self._wake = due
+        self._due = self._ticked_at + int(self._rules.step_period * SECOND)
+        return self._tick_when_due(now)
+
+    def _tick_when_due(self, now: int) -> Sequence[Send]:
+        if now >= self._due and not self._held:
+            return self._tick(self._step, now)
+        self._phase = _Phase.PACING
+        self._wake = None if self._held else self._due
         return ()
 
     def _on_command(self, robot: str, command: Command, now: int) -> Sequence[Send]:
@@ -236,7 +296,8 @@ class RefereeCore:
         patience = self._settings.planning_patience if step == 0 else self._settings.command_patience
         if self._rules.step_period == 0.0:
             patience = self._settings.planning_patience
-        self._wake = now + int(patience * SECOND)
+        self._deadline = now + int(patience * SECOND)
+        self._wake = min(self._deadline, now + SECOND) if self._players.hider == HUMAN else self._deadline
         return (Publish("tick", Tick(stamp=now, episode=self._number, step=step)),)
 
     def _end(self, outcome: str, step: int, now: int) -> Sequence[Send]:
@@ -262,6 +323,7 @@ class RefereeCore:
         return "; ".join([reason, *troubles])[:REASON_LIMIT]
 
     def _rest(self, now: int) -> None:
+        self._held = self._held and self._games_left != 0
         self._phase = _Phase.PAUSE
         self._wake = now + (int(self._settings.pause * SECOND) if self._rules.step_period > 0 else 0)
 
@@ -281,5 +343,6 @@ class RefereeCore:
                 outcome=outcome,  # type: ignore[arg-type]
                 caught_step=caught_step,
                 reason=reason,
+                paused=self._held and (phase == "running" or self._games_left != 0),
             ),
         )

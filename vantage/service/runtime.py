@@ -34,7 +34,7 @@ logger = logging.getLogger("vantage")
 HEALTH_PERIOD = SECOND
 STALE_PERIODS = 10
 STALE_MINIMUM = 2.5
-"""An input is stale in a running real-time game when it is older than 10 of its periods, and than 2.5 s."""
+"""An input is stale in a running real-time game when it is older than 10 of its periods, and than 2.5 s, pauses not counted."""
 
 TROUBLE_LASTS = 10 * SECOND
 """ns that health repeats what went wrong with one message."""
@@ -84,7 +84,7 @@ class Runtime:
     _failed: int = 0
     _trouble: str = ""
     _troubled_at: int = 0
-    _running_game: bool = False
+    _flowing_since: int | None = None
     _alive: dict[str, bool] = field(default_factory=dict)
     _tokens: dict[int, tuple[str, int]] = field(default_factory=dict)
     _requests: dict[int, Request] = field(default_factory=dict)
@@ -183,8 +183,7 @@ class Runtime:
         for key, counts in self._inputs.items():
             age = None if counts.last is None else max(0.0, (now - counts.last) / SECOND)
             rate = TOPICS[key].rate if key in TOPICS else 0.0
-            flowing = rate > 0 and self._running_game and not key.startswith("health/")
-            stale = flowing and age is not None and age > max(STALE_PERIODS / rate, STALE_MINIMUM)
+            stale = rate > 0 and not key.startswith("health/") and self._is_stale(counts.last, rate, now)
             if stale:
                 troubles.append(f"{key} from {counts.publisher or 'nobody'} is {age:.1f} s old, expected {rate:g} a second")
             inputs.append(
@@ -213,6 +212,12 @@ class Runtime:
             failed=self._failed,
             reason=reason[:2000],
         )
+
+    def _is_stale(self, last: int | None, rate: float, now: int) -> bool:
+        """Whether an input that flows while a game runs has failed to: neither before the game, nor during a pause."""
+        if last is None or self._flowing_since is None:
+            return False
+        return now - max(last, self._flowing_since) > SECOND * max(STALE_PERIODS / rate, STALE_MINIMUM)
 
     def _handle(self, event: Any, now: int) -> None:
         if type(event) is Sample:
@@ -258,7 +263,10 @@ class Runtime:
         counts.last = now
         counts.publisher = sample.publisher
         if type(message) is Episode:
-            self._running_game = message.phase == "running" and message.rules.step_period > 0
+            if message.phase != "running" or message.paused or message.rules.step_period == 0:
+                self._flowing_since = None
+            elif self._flowing_since is None:
+                self._flowing_since = now
         self._step(Arrived(sample.key, message), now)
 
     def _counts_of(self, sample: Sample) -> _Input:
