@@ -1,0 +1,71 @@
+// The one WebSocket: binary frames in, JSON requests out; comes back by itself.
+
+const FIRST_DELAY = 500; // ms
+const LONGEST_DELAY = 3000;
+
+/** Parse a frame: uint32 LE n, n bytes of JSON, payload. Returns [header, payload: Uint8Array]. */
+export function parseFrame(buffer) {
+  const length = new DataView(buffer).getUint32(0, true);
+  const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
+  return [header, new Uint8Array(buffer, 4 + length)];
+}
+
+/** The token of a console that is bound beyond this machine: in the fragment, which no request line carries. */
+export function token() {
+  return new URLSearchParams(location.hash.slice(1)).get('token');
+}
+
+export class Connection {
+  /**
+   * @param {(header: Object, payload: Uint8Array) => void} onFrame
+   * @param {(connected: boolean) => void} onChange
+   */
+  constructor(onFrame, onChange) {
+    this.onFrame = onFrame;
+    this.onChange = onChange;
+    this.delay = FIRST_DELAY;
+    this.opened = false; // ever
+    this.socket = null;
+    this.timer = 0;
+  }
+
+  open() {
+    clearTimeout(this.timer);
+    const url = new URL('bus', location.href);
+    url.protocol = location.protocol === 'https:' ? 'wss:' : 'ws:';
+    url.hash = '';
+    const secret = token();
+    const socket = new WebSocket(url, secret ? ['vantage', secret] : ['vantage']);
+    socket.binaryType = 'arraybuffer';
+    this.socket = socket;
+    socket.onopen = () => {
+      this.delay = FIRST_DELAY;
+      this.opened = true;
+      this.onChange(true);
+    };
+    socket.onmessage = (event) => {
+      if (this.socket === socket) this.onFrame(...parseFrame(event.data));
+    };
+    socket.onclose = () => {
+      if (this.socket !== socket) return; // replaced on purpose
+      this.onChange(false);
+      this.timer = setTimeout(() => this.open(), this.delay);
+      this.delay = Math.min(this.delay * 1.6, LONGEST_DELAY);
+    };
+  }
+
+  /** Close and come back at once: the server then says everything again. */
+  renew() {
+    const old = this.socket;
+    this.socket = null;
+    if (old) old.close();
+    this.open();
+  }
+
+  /** Send a request; returns whether it went out. */
+  send(request) {
+    if (!this.socket || this.socket.readyState !== WebSocket.OPEN) return false;
+    this.socket.send(JSON.stringify(request));
+    return true;
+  }
+}

@@ -1,0 +1,80 @@
+// Pixels of a frame into a canvas. Canvases keep their picture's own size; CSS scales them.
+
+import { welcome } from './state.js';
+import { depthTable, pack } from './scales.js';
+
+const SIZE = 128; // state image, pixels
+const buffers = new WeakMap();
+
+function buffer(canvas, width, height) {
+  let found = buffers.get(canvas);
+  if (!found || found.image.width !== width || found.image.height !== height) {
+    canvas.width = width;
+    canvas.height = height;
+    const context = canvas.getContext('2d', { alpha: false });
+    const image = context.createImageData(width, height);
+    found = { context, image, pixels: new Uint32Array(image.data.buffer) };
+    buffers.set(canvas, found);
+  }
+  return found;
+}
+
+function show({ context, image }) {
+  context.putImageData(image, 0, 0);
+}
+
+/** @param {Uint8Array} rgb [height, width, 3] */
+export function paintColor(canvas, rgb, width, height) {
+  const target = buffer(canvas, width, height);
+  const { pixels } = target;
+  for (let i = 0, j = 0; i < pixels.length; i += 1, j += 3) pixels[i] = (0xff000000 | rgb[j + 2] << 16 | rgb[j + 1] << 8 | rgb[j]) >>> 0;
+  show(target);
+}
+
+/** @param {Uint8Array} bytes uint16 LE [height, width], mm. */
+export function paintDepth(canvas, bytes, width, height) {
+  const target = buffer(canvas, width, height);
+  const table = depthTable(depthRange());
+  const { pixels } = target;
+  for (let i = 0, j = 0; i < pixels.length; i += 1, j += 2) pixels[i] = table[bytes[j] | bytes[j + 1] << 8];
+  show(target);
+}
+
+/** m at the far end of the depth legend: what the camera reaches, else the table's diagonal. */
+export function depthRange() {
+  const size = welcome()?.size ?? 1.2;
+  return welcome()?.camera_range ?? Math.ceil(size * Math.SQRT2 * 10) / 10;
+}
+
+/**
+ * The RGBA of each palette index. The palette paints a robot's own disc in one colour and the other's in another, whoever
+ * looks; here the hider is always in the colour of `own` in its own view, so that a colour means the same robot everywhere.
+ */
+function palette(robot) {
+  const colors = welcome().palette.map(pack);
+  if (robot === 'seeker') [colors[3], colors[4]] = [colors[4], colors[3]];
+  return colors;
+}
+
+/** @param {Uint8Array} indices [128, 128] palette indices, row 0 far. */
+export function paintView(canvas, indices, robot) {
+  const target = buffer(canvas, SIZE, SIZE);
+  const colors = palette(robot);
+  const { pixels } = target;
+  for (let i = 0; i < pixels.length; i += 1) pixels[i] = colors[indices[i]] ?? 0xff808080;
+  show(target);
+}
+
+/** A predicted seeker view: RGB [128, 128, 3], red and green changed over as in `palette`. */
+export function paintPredicted(canvas, rgb) {
+  const target = buffer(canvas, SIZE, SIZE);
+  const { pixels } = target;
+  for (let i = 0, j = 0; i < pixels.length; i += 1, j += 3) pixels[i] = (0xff000000 | rgb[j + 2] << 16 | rgb[j] << 8 | rgb[j + 1]) >>> 0;
+  show(target);
+}
+
+/** Leave a canvas empty: nothing came yet. */
+export function blank(canvas) {
+  buffers.delete(canvas);
+  canvas.width = canvas.width; // eslint-disable-line no-self-assign
+}

@@ -1,0 +1,91 @@
+// What stands in front of the picture when no step is being played: rules, count-down, pause, outcome.
+
+import { button, labelled, make, number, select } from './element.js';
+import { LAYOUTS, SEEKERS } from './game_bar.js';
+import { episode, welcome } from './state.js';
+
+const PERSON = 'vantage-person';
+
+const card = (...children) => make('div.card', { role: 'group' }, ...children);
+
+/** Rules in three lines, the name with its consent, and what is played. */
+export function askCard(begin, leave, taken) {
+  const limits = welcome()?.limits ?? {};
+  const known = localStorage.getItem(PERSON) ?? '';
+  const name = make('input', { type: 'text', maxlength: 60, value: known, autocomplete: 'off', placeholder: 'nothing is stored unless you tick the box' });
+  const consent = make('input', { type: 'checkbox', checked: known !== '' });
+  const fields = {
+    games: number(3, 1, limits.games ?? 100),
+    steps: number(100, 1, limits.steps ?? 1000),
+    period: number(0.25, 0.05, 10, 0.05),
+    seed: number(1 + Math.floor(Math.random() * 99999), 0, 2 ** 31),
+    layout: select(LAYOUTS, 'random'),
+    seeker: select(SEEKERS, 'glancing'),
+  };
+  const submit = (event) => {
+    event.preventDefault();
+    const person = consent.checked ? name.value.trim() : '';
+    if (person) localStorage.setItem(PERSON, person);
+    else localStorage.removeItem(PERSON);
+    const value = (key) => Number(fields[key].value);
+    begin({ seed: value('seed'), games: value('games'), steps: value('steps'), period: value('period'), layout: fields.layout.value, seeker: fields.seeker.value, person });
+  };
+  const catching = Math.round(100 * (welcome()?.catch_distance ?? 0.15));
+  return make('form.card.ask', { onsubmit: submit },
+    make('h2', {}, 'Play the hider'),
+    make('ol.rules', {},
+      make('li', {}, 'You drive the hider and see only what its camera sees. The seeker is the other robot, in its own colour.'),
+      make('li', {}, `You are caught when the seeker comes within ${catching} cm of you, centre to centre; you win when you last for all steps.`),
+      make('li', {}, 'Arrow keys, W A S D or a gamepad: hold to drive or turn, a tap is one step. Space pauses. Boxes hide you.')),
+    make('div.fields', {},
+      labelled('games', fields.games, 'How many games this session has'),
+      labelled('steps to survive', fields.steps, 'T'),
+      labelled('step [s]', fields.period, 'The pace: seconds a step takes'),
+      labelled('seed', fields.seed, 'The same seed gives the same layout and starts'),
+      labelled('layout', fields.layout, 'Where the obstacles stand'),
+      labelled('seeker', fields.seeker, 'How well the seeker knows where you are')),
+    make('div.consent', {},
+      labelled('name or pseudonym (optional)', name),
+      make('label.check', {}, consent, make('span', {}, 'store it with the recording'))),
+    make('p.quiet', {}, 'Your moves are recorded as those of a human. Without the tick the recording has no name.'),
+    taken ? make('p.trouble', {}, 'Somebody is playing at another page now. Wait until that game is over.') : null,
+    make('div.buttons', {}, make('button.primary', { type: 'submit', disabled: taken, autofocus: true }, 'Begin (Enter)'), button('Back to watching (Esc)', leave)));
+}
+
+export function countCard(session) {
+  return card(make('p.quiet', {}, `Game ${session.counted.length + 1} of ${session.options.games} starts in`),
+    make('p.count', { 'aria-live': 'assertive' }, String(session.count)));
+}
+
+export function waitCard() {
+  return card(make('p', {}, 'The table is being set up…'));
+}
+
+export function pauseCard(session) {
+  return card(make('h2', {}, '❚❚ Paused'), make('p', {}, 'The step clock stands still; nothing moves.'),
+    make('div.buttons', {}, button('Go on (space)', () => session.hold(), { class: 'primary' })));
+}
+
+function told(game) {
+  if (game.outcome === 'survived') return ['◆ Survived', `You lasted all ${game.steps} steps.`];
+  if (game.outcome === 'caught') return ['● Caught', `The seeker had you at step ${game.steps} of ${episode()?.rules.maximum_steps ?? '?'}.`];
+  return ['✕ No result', game.reason || 'The game was stopped.'];
+}
+
+export function outcomeCard(session, leave) {
+  const { last, trouble } = session;
+  const done = session.phase === 'done';
+  const [title, text] = trouble || !last ? ['The session goes on', trouble ? `The next game did not start: ${trouble}.` : 'The page was loaded again.'] : told(last);
+  const list = session.games.map((game, i) => make('li', { 'data-outcome': game.discarded ? 'discarded' : game.outcome },
+    `${i + 1}: ${game.discarded ? 'discarded' : game.outcome === 'undecided' ? 'no result' : `${game.outcome}, ${game.steps} steps`}`));
+  return make('div.card.outcome', { role: 'group', 'data-outcome': last?.outcome ?? '' },
+    make('h2', { 'aria-live': 'assertive' }, title), make('p', {}, text),
+    last?.discarded ? make('p.quiet', {}, 'This game is marked as discarded and is not used as data.') : null,
+    list.length ? make('ul.games', { 'aria-label': 'Games of this session' }, ...list) : null,
+    make('p.quiet', {}, done ? 'The session is over. Thank you.' : `${session.counted.length} of ${session.options?.games ?? '?'} games played.`),
+    make('div.buttons', {},
+      done ? button('Another session (Enter)', () => leave(true), { class: 'primary' })
+        : button('Next game (Enter)', () => session.next(), { class: 'primary' }),
+      last && !last.discarded ? button('Discard last (Backspace)', () => session.discard(), { title: 'The recording keeps it, marked as not to be used; you play it again' }) : null,
+      button(done ? 'Watch (Esc)' : 'End session (Esc)', () => leave(false))));
+}
