@@ -18,6 +18,7 @@ from schemas import (
     Intrinsics,
     Layout,
     Plan,
+    Players,
     Pose,
     PredictReply,
     PredictRequest,
@@ -274,10 +275,29 @@ def test_settings_without_sense_are_refused_at_the_start() -> None:
 
 
 def test_it_leaves_episodes_of_other_hiders_alone() -> None:
-    from schemas import Players
-
-    with pytest.raises(Unexpected, match="not the planner"):
-        PlannerCore().step(Arrived("episode", Episode(stamp=1, seed=1, phase="setup", players=Players(hider="human"))), 1)
+    """Silently: they are not its game. Also after one of its own, and before the next."""
+    play = Play(steps=5)
+    play.run()
+    driven = len(play.commands)
+    assert driven == 5
+    for phase in ("setup", "running"):
+        episode = Episode(stamp=1, episode=2, seed=3, phase=phase, rules=play.rules, players=Players(hider="human"))  # type: ignore[arg-type]
+        assert play.planner.step(Arrived("episode", episode), 6) == ()
+    world = play.simulator.step(Arrived("episode", replace(episode, phase="setup")), 6)
+    for send in world:
+        assert isinstance(send, Publish)
+        if send.key in play.planner.declaration.inputs:
+            assert play.planner.step(Arrived(send.key, send.message), 6) == ()
+    assert play.planner.step(Arrived("tick", Tick(stamp=6, episode=2, step=0)), 6) == ()
+    play.planner.step(Arrived("episode", replace(episode, phase="ended")), 7)
+    own = Episode(stamp=8, episode=3, seed=3, phase="setup", rules=play.rules)
+    sends: list[Send] = list(play.planner.step(Arrived("episode", own), 8))
+    for send in play.simulator.step(Arrived("episode", own), 8):
+        assert isinstance(send, Publish)
+        if send.key in play.planner.declaration.inputs:
+            sends += play.planner.step(Arrived(send.key, send.message), 8)
+    sends += play.planner.step(Arrived("tick", Tick(stamp=8, episode=3, step=0)), 8)
+    assert [type(send) for send in sends] == [Publish, Ask]
 
 
 def test_commands_are_primitives_of_the_table() -> None:

@@ -204,6 +204,40 @@ def test_health_names_the_stale_topic_its_publisher_age_and_rate() -> None:
     assert {entry.key: entry.stale for entry in health.inputs} == {"episode": False, "tick": True}
 
 
+def test_nothing_is_stale_in_a_pause_nor_at_once_when_the_game_goes_on() -> None:
+    bus = network()
+    _, runtime = probe(bus, "seeker", inputs=("episode", "tick"))
+    referee = bus.session("referee")
+
+    def say(phase: str, paused: bool = False) -> None:
+        referee.publish("episode", Episode(stamp=1, episode=1, seed=1, phase=phase, paused=paused))  # type: ignore[arg-type]
+        runtime.drain()
+
+    def is_stale_after(seconds: float) -> bool:
+        bus.clock.advance(seconds)  # type: ignore[attr-defined]
+        health = runtime.health_report("ok")
+        assert health.state == ("degraded" if any(entry.stale for entry in health.inputs) else "ok")
+        return health.state == "degraded"
+
+    say("running")
+    referee.publish("tick", tick(1, 0))
+    say("running", paused=True)
+    assert not is_stale_after(600.0)
+    say("running")
+    assert not is_stale_after(2.4)
+    assert is_stale_after(0.2)
+    say("running")  # said again by a game that was not paused: nothing is younger for it
+    assert is_stale_after(0.0)
+    referee.publish("tick", tick(1, 1))
+    runtime.drain()
+    assert not is_stale_after(2.4)
+    say("ended")
+    assert not is_stale_after(600.0)
+    say("running")  # the next game: what was said in the last one is not stale before it could come again
+    assert not is_stale_after(2.4)
+    assert is_stale_after(0.2)
+
+
 def test_health_is_published_once_a_second() -> None:
     bus = network()
     core = Probe(Declaration(name="seeker", outputs=("health/seeker",)))
