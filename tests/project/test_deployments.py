@@ -108,16 +108,18 @@ def test_extra_arguments_go_to_the_right_command_and_nowhere_else(tmp_path: Path
 def test_containers_run_the_commands_of_the_process_table() -> None:
     document = yaml.safe_load((COMPOSE / "docker-compose.yml").read_text())
     services = document["services"]
+    outside = {"console": ("--host", "0.0.0.0")}  # its page is to be reached from the machine that runs the containers
     assert {name: tuple(shlex.split(service["command"])) for name, service in services.items()} == {
-        name: program.command for name, program in programs().items()
+        name: program.command + outside.get(name, ()) for name, program in programs().items()
     }
     volumes = set(document["volumes"])
     for name, service in services.items():
         assert set(service) <= {
             "image", "build", "command", "depends_on", "init", "network_mode", "restart", "stop_signal", "stop_grace_period",
-            "volumes", "working_dir",
+            "volumes", "working_dir", "ports",
         }  # fmt: skip
-        assert service["network_mode"] == "none"
+        assert service["network_mode"] == ("bridge" if name == "console" else "none")
+        assert all(port.startswith("127.0.0.1:") for port in service.get("ports", ()))
         assert service["restart"] == "always"
         assert set(service.get("depends_on", ())) <= set(services)
         for volume in service["volumes"]:

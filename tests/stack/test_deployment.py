@@ -16,7 +16,7 @@ from vantage.log import find_logs, open_log
 from vantage.play import Match
 from vantage.watch import HealthWatch
 
-SERVICES = ("recorder", "predictor", "referee", "simulator", "seeker", "planner")
+SERVICES = ("recorder", "predictor", "referee", "simulator", "seeker", "planner", "console")
 GIBIBYTE = 2**30
 FLUSH_PERIOD = 1.0 + 0.1
 """Seconds: the recorder flushes at the first message after a second; 20 steps a second bring one at once."""

@@ -24,7 +24,7 @@ from vantage.watch import HealthWatch
 STEPS = 6
 SEED = 1
 """Its start is where the robots of the rehearsed table stand at first."""
-SERVICES = ("recorder", "predictor", "referee", "rehearsal", "tracker", "robot", "seeker", "planner")
+SERVICES = ("recorder", "predictor", "referee", "rehearsal", "tracker", "robot", "seeker", "planner", "console")
 BLAMED = {
     "tracker": ("tracker is not alive", "tracker: "),
     "robot": ("robot or onboard is not alive", "robot: ", "the driver was restarted"),
