@@ -4,18 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
 from rich.markup import escape
 
 from services.recorder.appearance import arena_appearance
-from vantage.log.export import export as translate
+from vantage.log.export_formats import export_to, shown_progress
 from vantage.log.reader import find_logs
 from vantage.log.recover import recover as rewrite
 from vantage.log.report import info as describe
-from vantage.log.viewer import Viewer
+from vantage.log.target import ExportError
 
 console = Console(highlight=False)
 complaints = Console(highlight=False, stderr=True)
@@ -52,16 +52,29 @@ class Recover:
 
 @dataclass(frozen=True)
 class Export:
-    """Copy a log with channels that Foxglove, Lichtblick and Rerun show: pictures, poses, the scene, the value map, texts.
+    """Write a log for other programs.
+
+    foxglove: a copy with channels that Foxglove and Lichtblick show, and a layout file to import there.
+    rerun: a recording with a ready view, a game a file.
+    lerobot: a data set for LeRobot (v3) of all finished games: lossless pictures, true times. LOG may be a folder of logs.
+    video: an MP4 of each game at true speed, for a browser.
 
     Examples:
-        vantage log export logs/game.mcap --to game-for-foxglove.mcap
+        vantage log export logs/game.mcap
+        vantage log export logs/game.mcap --to video --episode 3
+        vantage log export logs/ --to lerobot --output hide-and-seek
     """
 
     source: Source
-    """The log: a file, or a folder with the parts of one run."""
-    to: Path | None = None
-    """The new file; by default beside the source, named `*-viewer.mcap`."""
+    """The log: a file, or a folder with the parts of one run (for lerobot: with any number of logs)."""
+    to: Literal["foxglove", "rerun", "lerobot", "video"] = "foxglove"
+    """For which program."""
+    output: Path | None = None
+    """The new file, or folder (lerobot, and rerun or video of several games); by default beside the source."""
+    episode: int | None = None
+    """Only the game of this number, see `vantage log info`."""
+    force: bool = False
+    """Replace an earlier export of that name."""
 
 
 def info(settings: Info) -> int:
@@ -93,21 +106,30 @@ def recover(settings: Recover) -> int:
 
 
 def export(settings: Export) -> int:
-    """Export one log. Exit code 1 when it failed, 2 when something in the log could not be read."""
-    target = settings.to or settings.source.with_name(f"{settings.source.stem}-viewer.mcap")
+    """Export a log. Exit code 1 when it failed, 2 when something in the log could not be read."""
     try:
-        count, breaks = translate(settings.source, target, Viewer(arena_appearance()))
-    except (OSError, ValueError) as error:
+        with shown_progress(complaints) as progress:
+            done = export_to(
+                settings.to,
+                settings.source,
+                settings.output,
+                arena_appearance(),
+                episode=settings.episode,
+                force=settings.force,
+                progress=progress,
+            )
+    except (OSError, ValueError, ExportError) as error:
         return _failed("export", error)
-    console.print(f"{target}: {count} messages, and what Foxglove, Lichtblick and Rerun show of them", soft_wrap=True)
-    for text in breaks:
-        console.print(f"[yellow]{escape(text)}[/yellow]", soft_wrap=True)
-    return 2 if breaks else 0
+    for text in done.said:
+        console.print(escape(text), soft_wrap=True)
+    for text in done.breaks:
+        complaints.print(f"[yellow]{escape(text)}[/yellow]", soft_wrap=True)
+    return 2 if done.breaks else 0
 
 
 def _failed(command: str, error: Exception) -> int:
     if isinstance(error, FileExistsError):
-        text = f"{error.filename} exists already: choose another name with --to"
+        text = f"{error.filename} exists already: choose another name"
     elif isinstance(error, OSError) and error.strerror:
         text = f"{error.filename}: {error.strerror}"
     else:

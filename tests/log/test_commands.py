@@ -71,6 +71,7 @@ def test_export_opens_in_other_programs(tmp_path: Path) -> None:
     write_log(path, records_of(game(1, 5)))
     outcome = run("export", path)
     assert outcome.returncode == 0, outcome.stderr
+    assert (tmp_path / "log-viewer.layout.json").is_file()
     with (tmp_path / "log-viewer.mcap").open("rb") as file:
         summary = make_reader(file).get_summary()
     assert summary is not None

@@ -199,7 +199,7 @@ def test_words_are_said(tmp_path: Path) -> None:
 def test_every_topic_of_interest_is_shown_and_nonsense_is_not() -> None:
     viewer = Viewer(arena_appearance())
     unseen = {key for key in TOPICS if not viewer.translate(key, encode(example(key, 0)))}
-    per_robot = {f"{robot}/{part}" for robot in ("hider", "seeker") for part in ("command", "motion", "track")}
+    per_robot = {f"{robot}/{part}" for robot in ("hider", "seeker") for part in ("command",)}
     assert unseen == {"tick", "predictor/request", *per_robot}
     assert viewer.translate("hider/pose", b"nonsense") == []
     assert viewer.translate("stranger", b"") == []

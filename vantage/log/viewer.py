@@ -1,19 +1,13 @@
-"""Messages as Foxglove, Lichtblick and Rerun know them: Foxglove's protobuf schemas, as extra channels of a log.
-
-Nothing in here knows the arena's constants or the palette: whoever makes a `Viewer` hands them over as an `Appearance`, because
-the log stands on the same floor as the rooms that define them.
-"""
+"""Messages as Foxglove, Lichtblick and Rerun know them: Foxglove's protobuf schemas, as extra channels of a log."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, NamedTuple, cast
+from typing import Any, NamedTuple
 
 import numpy as np
 from foxglove import messages as fox
-from numpy.typing import NDArray
 
 from schemas import (
     GOAL_COUNT,
@@ -30,21 +24,22 @@ from schemas import (
     Layout,
     MalformedMessage,
     Message,
+    Motion,
     Plan,
+    Playback,
     Pose,
     PredictReply,
     StateImage,
+    Track,
     decode,
 )
+from vantage.log.appearance import GOALS_A_SIDE, Appearance, Picture, row_repeats, value_picture
+
+__all__ = ["Appearance", "Viewer", "ViewerMessage", "value_picture"]
 
 ARENA_FRAME = "arena"
-_GOALS_A_SIDE = 11
 _GOAL_SPACING = 0.1  # m; as Plan.values describes it
-_CELL_PIXELS = 20
-_LOWEST_PICTURE = 32
 _LARGE = 256 * 1024
-
-Picture = NDArray[np.uint8]
 
 
 class ViewerMessage(NamedTuple):
@@ -60,22 +55,6 @@ class ViewerMessage(NamedTuple):
     schema_name: str
     schema: bytes
     payload: bytes
-
-
-@dataclass(frozen=True, slots=True)
-class Appearance:
-    """What things look like.
-
-    Attributes:
-        palette: uint8 [n, 3], red green blue of the state image's indices.
-        robot_radius, robot_height: m.
-        robot_colors: robot -> red, green, blue, each 0..255.
-    """
-
-    palette: Picture
-    robot_radius: float
-    robot_height: float
-    robot_colors: dict[str, tuple[int, int, int]]
 
 
 _schemas: dict[str, tuple[str, bytes]] = {}
@@ -121,7 +100,7 @@ def _image(message: Message, frame: str, picture: Picture) -> fox.RawImage:
 
 def _camera_image(message: DepthImage | ColorImage, robot: str, encoding: str, pixel: int) -> fox.RawImage:
     """A picture of few rows (the one-row camera) is shown with its rows repeated, or nobody would see it."""
-    repeats = -(-_LOWEST_PICTURE // message.height) if message.height < _LOWEST_PICTURE else 1
+    repeats = row_repeats(message.height)
     step = message.width * pixel
     data = message.data
     if repeats > 1:
@@ -151,30 +130,6 @@ def _calibration(message: DepthImage, robot: str, lens: Intrinsics) -> fox.Camer
     )
 
 
-def value_picture(values: tuple[float | None, ...], goal: int | None) -> Picture:
-    """Return the value map as a picture, uint8 [220, 220, 3].
-
-    The far side is at the top; green is safe, red is not, grey is blocked, the chosen goal has a white frame.
-    """
-    grid = np.array([np.nan if value is None else value for value in values]).reshape(_GOALS_A_SIDE, _GOALS_A_SIDE)
-    open_goals = ~np.isnan(grid)
-    low, high = (float(grid[open_goals].min()), float(grid[open_goals].max())) if open_goals.any() else (0.0, 1.0)
-    danger = np.nan_to_num((grid - low) / max(high - low, 1e-9))
-    picture = np.empty((_GOALS_A_SIDE, _GOALS_A_SIDE, 3), np.uint8)
-    picture[..., 0] = 30 + 200 * danger
-    picture[..., 1] = 30 + 170 * (1 - danger)
-    picture[..., 2] = 60
-    picture[~open_goals] = 128
-    large = np.kron(picture, np.ones((_CELL_PIXELS, _CELL_PIXELS, 1), np.uint8))
-    if goal is not None:
-        row, column = divmod(goal, _GOALS_A_SIDE)
-        cell = large[row * _CELL_PIXELS : (row + 1) * _CELL_PIXELS, column * _CELL_PIXELS : (column + 1) * _CELL_PIXELS]
-        inside = cell[3:-3, 3:-3].copy()
-        cell[:] = 255
-        cell[3:-3, 3:-3] = inside
-    return cast(Picture, np.ascontiguousarray(large[::-1]))
-
-
 class Viewer:
     """Translates messages of the bus; see `translate`."""
 
@@ -187,8 +142,11 @@ class Viewer:
         self._appearance = appearance
         self._picture_period = 0 if picture_rate is None else round(1e9 / picture_rate)
         self._last_shown: dict[str, int] = {}
+        self._playback: tuple[object, ...] = ()
         self._translations: dict[type[Message], Callable[[str, Any], list[tuple[str, Any]]]] = {
             Pose: self._pose,
+            Track: self._pose,
+            Motion: self._motion,
             DepthImage: self._depth,
             ColorImage: self._picture,
             StateImage: self._state_image,
@@ -199,6 +157,7 @@ class Viewer:
             Health: self._health,
             Gap: self._gap,
             Control: self._control,
+            Playback: self._playback_text,
         }
 
     def translate(self, key: str, payload: bytes) -> list[ViewerMessage]:
@@ -218,7 +177,7 @@ class Viewer:
             self._last_shown[key] = message.stamp
         return [_as_viewer_message(name, shown) for name, shown in translation(key, message)]
 
-    def _pose(self, key: str, message: Pose) -> list[tuple[str, Any]]:
+    def _pose(self, key: str, message: Pose | Track) -> list[tuple[str, Any]]:
         robot = key.partition("/")[0]
         shown = fox.PoseInFrame(
             timestamp=_time(message), frame_id=ARENA_FRAME, pose=_place(message.x, message.y, 0.0, message.heading)
@@ -302,9 +261,9 @@ class Viewer:
                 timestamp=_time(message),
                 frame_id=ARENA_FRAME,
                 pose=_place(_GOAL_SPACING / 2, _GOAL_SPACING / 2, 0.001),
-                column_count=_GOALS_A_SIDE,
+                column_count=GOALS_A_SIDE,
                 cell_size=fox.Vector2(x=_GOAL_SPACING, y=_GOAL_SPACING),
-                row_stride=4 * _GOALS_A_SIDE,
+                row_stride=4 * GOALS_A_SIDE,
                 cell_stride=4,
                 fields=[fox.PackedElementField(name="value", offset=0, type=fox.PackedElementFieldNumericType.Float32)],
                 data=values.tobytes(),
@@ -334,7 +293,8 @@ class Viewer:
     def _episode(self, _key: str, message: Episode) -> list[tuple[str, Any]]:
         ending = f": {message.outcome} {message.reason}".rstrip() if message.phase in ("ended", "aborted") else ""
         level = fox.LogLevel.Warning if message.phase == "aborted" else fox.LogLevel.Info
-        return self._text(message, "referee", f"episode {message.episode} (seed {message.seed}) {message.phase}{ending}", level)
+        phase = "paused" if message.paused else message.phase
+        return self._text(message, "referee", f"episode {message.episode} (seed {message.seed}) {phase}{ending}", level)
 
     def _health(self, _key: str, message: Health) -> list[tuple[str, Any]]:
         level = fox.LogLevel.Warning if message.state == "degraded" else fox.LogLevel.Debug
@@ -345,4 +305,31 @@ class Viewer:
         return self._text(message, "recorder", text, fox.LogLevel.Error)
 
     def _control(self, _key: str, message: Control) -> list[tuple[str, Any]]:
-        return self._text(message, "control", f"{message.action}: {message.games} games from seed {message.seed}")
+        match message.action:
+            case "start":
+                detail = f": {message.games or 'endless'} games from seed {message.seed}"
+            case "discard":
+                detail = f" episode {message.episode}"
+            case "seek":
+                detail = f" to {message.position:.1f} s"
+            case "resume" if message.speed is not None:
+                detail = f" at {message.speed:g} times the speed"
+            case _:
+                detail = ""
+        return self._text(message, "control", message.action + detail)
+
+    def _motion(self, key: str, message: Motion) -> list[tuple[str, Any]]:
+        off = f"{1000 * message.distance_error:.1f} mm and {math.degrees(message.heading_error):.1f} degrees off"
+        battery = "" if message.battery is None else f", {message.battery:.1f} V"
+        text = f"{message.primitive} of step {message.step}: {message.result}, {off}, {message.elapsed:.2f} s{battery}"
+        level = fox.LogLevel.Debug if message.result == "completed" else fox.LogLevel.Warning
+        return self._text(message, key, f"{text} {message.reason}".rstrip(), level)
+
+    def _playback_text(self, _key: str, message: Playback) -> list[tuple[str, Any]]:
+        """Said twice a second; shown when something changed."""
+        state = (message.log, message.state, message.speed, message.jumps)
+        if state == self._playback:
+            return []
+        self._playback = state
+        place = f"{message.position:.1f} of {message.duration:.1f} s"
+        return self._text(message, "replay", f"{message.log}: {message.state} at {place}, {message.speed:g} times as fast")

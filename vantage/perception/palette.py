@@ -30,6 +30,9 @@ PALETTE: NDArray[np.uint8] = np.array(  # [5, 3]
 """RGB of each palette index; corners of the colour cube, so that a mean squared error keeps the classes far apart."""
 PALETTE.setflags(write=False)
 
+PALETTE_NAMES = ("invisible", "free", "boundary", "own", "other")
+"""What each palette index means, in a word."""
+
 
 def to_rgb(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Colours of a state image: uint8 [..., 128, 128] palette indices -> uint8 [..., 128, 128, 3] RGB."""

@@ -1,0 +1,68 @@
+"""What things look like in a log that is shown.
+
+Nothing in this room knows the arena's constants or the palette: whoever shows a log hands them over as an `Appearance`, because
+the log stands on the same floor as the rooms that define them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from schemas import Robot
+
+GOALS_A_SIDE = 11
+_CELL_PIXELS = 20
+_LOWEST_PICTURE = 32
+
+Picture = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, slots=True)
+class Appearance:
+    """What things look like.
+
+    Attributes:
+        palette: uint8 [n, 3], red green blue of the state image's indices.
+        palette_names: what each index means, n words.
+        robot_radius, robot_height: m.
+        robot_colors: robot -> red, green, blue, each 0..255.
+    """
+
+    palette: Picture
+    palette_names: tuple[str, ...]
+    robot_radius: float
+    robot_height: float
+    robot_colors: dict[Robot, tuple[int, int, int]]
+
+
+def row_repeats(height: int) -> int:
+    """Return how often each row of a picture is shown: one of few rows (the one-row camera) would not be seen."""
+    return -(-_LOWEST_PICTURE // height) if height < _LOWEST_PICTURE else 1
+
+
+def value_picture(values: tuple[float | None, ...], goal: int | None) -> Picture:
+    """Return the value map as a picture, uint8 [220, 220, 3].
+
+    The far side is at the top; green is safe, red is not, grey is blocked, the chosen goal has a white frame.
+    """
+    grid = np.array([np.nan if value is None else value for value in values]).reshape(GOALS_A_SIDE, GOALS_A_SIDE)
+    open_goals = ~np.isnan(grid)
+    low, high = (float(grid[open_goals].min()), float(grid[open_goals].max())) if open_goals.any() else (0.0, 1.0)
+    danger = np.nan_to_num((grid - low) / max(high - low, 1e-9))
+    picture = np.empty((GOALS_A_SIDE, GOALS_A_SIDE, 3), np.uint8)
+    picture[..., 0] = 30 + 200 * danger
+    picture[..., 1] = 30 + 170 * (1 - danger)
+    picture[..., 2] = 60
+    picture[~open_goals] = 128
+    large = np.kron(picture, np.ones((_CELL_PIXELS, _CELL_PIXELS, 1), np.uint8))
+    if goal is not None:
+        row, column = divmod(goal, GOALS_A_SIDE)
+        cell = large[row * _CELL_PIXELS : (row + 1) * _CELL_PIXELS, column * _CELL_PIXELS : (column + 1) * _CELL_PIXELS]
+        inside = cell[3:-3, 3:-3].copy()
+        cell[:] = 255
+        cell[3:-3, 3:-3] = inside
+    return cast(Picture, np.ascontiguousarray(large[::-1]))
