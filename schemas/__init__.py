@@ -2,28 +2,21 @@
 
 from schemas.codec import MalformedMessage, decode, encode
 from schemas.messages import (
-    FASTEST,
     GOAL_COUNT,
     PRIMITIVES,
     REASON_LIMIT,
     ROBOTS,
-    SLOWEST,
     STATE_IMAGE_SIZE,
     Box,
     ColorImage,
     Command,
-    Control,
     DepthImage,
     Episode,
-    Gap,
-    Health,
-    InputHealth,
     Intrinsics,
     Layout,
     Message,
     Motion,
     Plan,
-    Playback,
     Players,
     Pose,
     PredictReply,
@@ -35,6 +28,7 @@ from schemas.messages import (
     Tick,
     Track,
 )
+from schemas.operation import FASTEST, SLOWEST, Control, Gap, Health, InputHealth, Playback
 from schemas.topics import CALLS, SERVICES, TOPICS, Call, Delivery, Topic
 
 __all__ = [

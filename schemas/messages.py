@@ -1,4 +1,4 @@
-"""Every message on the bus, declared once.
+"""Every message of a game on the bus, declared once; those of the running of a table are in `schemas.operation`.
 
 Conventions, for all messages:
 
@@ -26,8 +26,6 @@ ROBOTS: tuple[Robot, Robot] = ("hider", "seeker")
 PRIMITIVES: tuple[Primitive, ...] = ("stay", "forward", "backward", "left", "right")
 
 GOAL_COUNT = 121
-SLOWEST, FASTEST = 0.1, 100.0
-"""Speeds of a replay."""
 STATE_IMAGE_SIZE = 128
 MAXIMUM_STEPS = 100_000
 
@@ -45,7 +43,7 @@ Pixels = Annotated[int, Meta(ge=1, le=4096)]
 Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
 
 
-def _require_finite(name: str, *values: float) -> None:
+def require_finite(name: str, *values: float) -> None:
     """NaN passes every range check, so it is looked for by itself."""
     for value in values:
         if not math.isfinite(value):
@@ -79,7 +77,7 @@ class Rules(Struct, frozen=True, kw_only=True):
     step_period: Annotated[Seconds, Meta(description="s per step in real time; 0 = as fast as the players answer")] = 0.25
 
     def __post_init__(self) -> None:
-        _require_finite("rules", self.catch_distance, self.start_distance_minimum, self.start_distance_maximum, self.step_period)
+        require_finite("rules", self.catch_distance, self.start_distance_minimum, self.start_distance_maximum, self.step_period)
         if self.start_distance_minimum > self.start_distance_maximum:
             raise ValueError("start_distance_minimum must not exceed start_distance_maximum")
 
@@ -127,7 +125,7 @@ class Box(Struct, frozen=True, kw_only=True):
     height: Annotated[Length, Meta(description="m above the floor")] = 0.20
 
     def __post_init__(self) -> None:
-        _require_finite("box", self.x, self.y, self.half_width, self.half_depth, self.heading, self.height)
+        require_finite("box", self.x, self.y, self.half_width, self.half_depth, self.heading, self.height)
 
 
 class Layout(Message, frozen=True, kw_only=True):
@@ -138,7 +136,7 @@ class Layout(Message, frozen=True, kw_only=True):
     obstacles: Annotated[tuple[Box, ...], Meta(max_length=64)] = ()
 
     def __post_init__(self) -> None:
-        _require_finite("layout", self.width, self.depth)
+        require_finite("layout", self.width, self.depth)
 
 
 class Pose(Message, frozen=True, kw_only=True):
@@ -149,7 +147,7 @@ class Pose(Message, frozen=True, kw_only=True):
     heading: Annotated[Radians, Meta(description="rad, counter-clockwise from +x")]
 
     def __post_init__(self) -> None:
-        _require_finite("pose", self.x, self.y, self.heading)
+        require_finite("pose", self.x, self.y, self.heading)
 
 
 class Track(Message, frozen=True, kw_only=True):
@@ -172,7 +170,7 @@ class Track(Message, frozen=True, kw_only=True):
     seen: Annotated[bool, Meta(description="false: predicted, the camera did not see the tag in this frame")] = True
 
     def __post_init__(self) -> None:
-        _require_finite("track", self.x, self.y, self.heading, self.speed_x, self.speed_y, self.turn_rate, *self.covariance)
+        require_finite("track", self.x, self.y, self.heading, self.speed_x, self.speed_y, self.turn_rate, *self.covariance)
 
 
 class Command(Message, frozen=True, kw_only=True):
@@ -205,7 +203,7 @@ class Motion(Message, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         numbers = (self.distance_error, self.heading_error, self.elapsed)
-        _require_finite("motion", *numbers, *(() if self.battery is None else (self.battery,)))
+        require_finite("motion", *numbers, *(() if self.battery is None else (self.battery,)))
 
 
 class Intrinsics(Struct, frozen=True, kw_only=True):
@@ -218,7 +216,7 @@ class Intrinsics(Struct, frozen=True, kw_only=True):
     mount_height: Annotated[Length, Meta(description="optical centre above the floor, m")] = 0.080
 
     def __post_init__(self) -> None:
-        _require_finite("intrinsics", self.fx, self.fy, self.cx, self.cy, self.mount_height)
+        require_finite("intrinsics", self.fx, self.fy, self.cx, self.cy, self.mount_height)
 
 
 class DepthImage(Message, frozen=True, kw_only=True):
@@ -254,7 +252,7 @@ class StateImage(Message, frozen=True, kw_only=True):
 
     def __post_init__(self) -> None:
         _require_bytes("state image", self.data, STATE_IMAGE_SIZE * STATE_IMAGE_SIZE)
-        _require_finite("state image", *(v for v in (self.other_x, self.other_y) if v is not None))
+        require_finite("state image", *(v for v in (self.other_x, self.other_y) if v is not None))
 
 
 class Plan(Message, frozen=True, kw_only=True):
@@ -279,7 +277,7 @@ class Plan(Message, frozen=True, kw_only=True):
     def __post_init__(self) -> None:
         if self.values and len(self.values) != GOAL_COUNT:
             raise ValueError(f"values must be empty or hold {GOAL_COUNT}, got {len(self.values)}")
-        _require_finite("plan", self.elapsed, *(v for v in self.values if v is not None))
+        require_finite("plan", self.elapsed, *(v for v in self.values if v is not None))
         if len(self.path) % 12 or len(self.path) > 12 * (MAXIMUM_STEPS + 1):
             raise ValueError(f"path must hold n x 3 float32, got {len(self.path)} bytes")
 
@@ -322,82 +320,8 @@ class PredictReply(Message, frozen=True, kw_only=True):
     elapsed: Annotated[Seconds, Meta(description="time taken, s; differs from run to run, like a stamp")] = 0.0
 
     def __post_init__(self) -> None:
-        _require_finite("reply", self.elapsed)
+        require_finite("reply", self.elapsed)
         if len(self.caught) % 4:
             raise ValueError(f"caught must hold float32, got {len(self.caught)} bytes")
         for view in self.views:
             _require_bytes("view", view, 3 * STATE_IMAGE_SIZE * STATE_IMAGE_SIZE)
-
-
-class InputHealth(Struct, frozen=True, kw_only=True):
-    """One input of a service."""
-
-    key: ShortText
-    publisher: Annotated[ShortText, Meta(description="who published last, empty before the first message")] = ""
-    received: Count = 0
-    malformed: Annotated[Count, Meta(description="messages refused when decoded")] = 0
-    lost: Annotated[Count, Meta(description="messages known to be missing")] = 0
-    age: Annotated[Seconds | None, Meta(description="s since the last message; null before the first")] = None
-    stale: Annotated[bool, Meta(description="older than its topic's rate allows")] = False
-
-
-class Health(Message, frozen=True, kw_only=True):
-    """What a service says of itself, once a second."""
-
-    service: ShortText
-    state: Literal["starting", "ok", "degraded", "stopping"]
-    process: Annotated[Count, Meta(description="process id")]
-    uptime: Annotated[Seconds, Meta(description="s since the service started")]
-    inputs: Annotated[tuple[InputHealth, ...], Meta(max_length=256)] = ()
-    unexpected: Annotated[Count, Meta(description="well-formed messages that made no sense here and were set aside")] = 0
-    failed: Annotated[Count, Meta(description="messages whose handling raised an error")] = 0
-    reason: Annotated[LongText, Meta(description="what is wrong, for people: topic, publisher, age, expected rate")] = ""
-
-    def __post_init__(self) -> None:
-        _require_finite("health", self.uptime, *(i.age for i in self.inputs if i.age is not None))
-
-
-class Control(Message, frozen=True, kw_only=True):
-    """People's wishes: start games or stop them, hold the clock, take back a game, move about in a replayed log."""
-
-    action: Annotated[
-        Literal["start", "stop", "pause", "resume", "discard", "seek"],
-        Meta(
-            description="start, stop: games; pause, resume: the step clock of a game, or a replay; discard: episode `episode` is "
-            "not to be used as data; seek: a replay goes on at `position`"
-        ),
-    ]
-    seed: Annotated[Count, Meta(description="start: seed of the first game; game n uses seed + n - 1")] = 1
-    games: Annotated[Count, Meta(description="start: how many games; 0 = until stopped")] = 1
-    rules: Rules = field(default_factory=Rules)
-    players: Players = field(default_factory=Players)
-    position: Annotated[Seconds, Meta(description="seek: s after the log's first message")] = 0.0
-    speed: Annotated[
-        Annotated[float, Meta(ge=SLOWEST, le=FASTEST)] | None,
-        Meta(description="resume: a replay goes on so many times as fast as it was recorded; null: as before"),
-    ] = None
-
-    def __post_init__(self) -> None:
-        _require_finite("control", self.position, *(() if self.speed is None else (self.speed,)))
-
-
-class Playback(Message, frozen=True, kw_only=True):
-    """How the replay of a log stands. `stamp` is the log's clock; episode and step are those reached."""
-
-    log: Annotated[ShortText, Meta(description="name of the log")]
-    position: Annotated[Seconds, Meta(description="s after the log's first message")]
-    duration: Annotated[Seconds, Meta(description="s from the log's first message to its last")]
-    speed: Annotated[float, Meta(ge=SLOWEST, le=FASTEST, description="times as fast as it was recorded")] = 1.0
-    state: Literal["playing", "paused", "ended"] = "playing"
-    jumps: Annotated[Count, Meta(description="how often it went to another place: what is shown is to be forgotten then")] = 0
-
-    def __post_init__(self) -> None:
-        _require_finite("playback", self.position, self.duration, self.speed)
-
-
-class Gap(Message, frozen=True, kw_only=True):
-    """The recorder's note that messages of a topic were lost."""
-
-    key: ShortText
-    publisher: ShortText
-    missed: Annotated[Count, Meta(description="how many messages")]

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 from schemas import messages as m
+from schemas import operation as o
 
 Delivery = Literal["lossless", "latest"]
 
@@ -86,10 +87,10 @@ TOPICS: dict[str, Topic] = {
         Topic("hider/plan", m.Plan, HIDER),
         Topic("predictor/request", m.PredictRequest, ("predictor", "replay"), cache=16, history=0),
         Topic("predictor/reply", m.PredictReply, ("predictor", "replay"), cache=16, history=0),
-        Topic("control", m.Control, ("console", "command-line"), history=0),
-        Topic("playback", m.Playback, ("replay",), rate=2.0, recorded=False),
-        Topic("gap", m.Gap, ("recorder",), history=0),
-        *(Topic(f"health/{service}", m.Health, (service,), rate=1.0, cache=16) for service in SERVICES),
+        Topic("control", o.Control, ("console", "command-line"), history=0),
+        Topic("playback", o.Playback, ("replay",), rate=2.0, recorded=False),
+        Topic("gap", o.Gap, ("recorder",), history=0),
+        *(Topic(f"health/{service}", o.Health, (service,), rate=1.0, cache=16) for service in SERVICES),
     )
 }
 
