@@ -7,6 +7,7 @@ import tyro
 
 from services.console.core import ConsoleCore
 from services.console.server import PageServer, ServerSettings
+from services.console.welcome import deployment_name, welcome
 from vantage.service import BusSettings, run
 
 
@@ -25,7 +26,9 @@ class Settings:
 
 
 def main(settings: Settings) -> int:
-    return run(ConsoleCore, "console", settings.bus, [PageServer(settings.page, settings.bus.folder)])
+    about = welcome(settings.bus.arena, deployment_name(settings.bus.folder))
+    server = PageServer(settings.page, settings.bus.folder)
+    return run(lambda: ConsoleCore(about), "console", settings.bus, [server])
 
 
 if __name__ == "__main__":

@@ -194,7 +194,7 @@ class _Door:
                 message = {**message, "headers": [*message.get("headers", []), *SECURITY_HEADERS]}
             await send(message)
 
-        await self._inner(scope, receive, send if upgrade else with_headers)  # type: ignore[arg-type]
+        await self._inner(scope, receive, send if upgrade else with_headers)
 
 
 def _names(headers: tuple[tuple[bytes, bytes], ...]) -> dict[str, str]:

@@ -34,16 +34,18 @@ def notice(text: str, level: str = "error") -> bytes:
     return frame("notice", {"level": level, "text": text})
 
 
-def frame_of(key: str, message: Message) -> bytes | None:
-    """Return the frame that shows a message of the bus; None for a message that is not shown by itself."""
+def frame_of(key: str, message: Message, **more: Any) -> bytes:
+    """Return the frame that shows a message of the bus, with further fields.
+
+    Raises:
+        TypeError: messages of its type are not shown by themselves.
+    """
     fields, payload = _shown(message)
-    if fields is None:
-        return None
     place = {"episode": message.episode, "step": message.step, "stamp": str(message.stamp)}
-    return frame(key, {**place, **fields}, payload)
+    return frame(key, {**place, **fields, **more}, payload)
 
 
-def _shown(message: Message) -> tuple[dict[str, Any] | None, bytes]:
+def _shown(message: Message) -> tuple[dict[str, Any], bytes]:
     match message:
         case Pose(x=x, y=y, heading=heading):
             return {"x": x, "y": y, "heading": heading}, b""
@@ -69,4 +71,4 @@ def _shown(message: Message) -> tuple[dict[str, Any] | None, bytes]:
             }, message.path
         case Playback():
             return {name: getattr(message, name) for name in ("log", "position", "duration", "speed", "state", "jumps")}, b""
-    return None, b""
+    raise TypeError(f"{type(message).__name__} is not shown by itself")

@@ -15,8 +15,6 @@ LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 TOKEN_FILE = "console.token"
 PROTOCOL = "vantage"
 """WebSocket subprotocol of the page."""
-TOKEN_PREFIX = "token."
-"""Before the token, where it is offered as a further subprotocol."""
 
 SECURITY_HEADERS = (
     (b"content-security-policy", b"default-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'"),
@@ -85,11 +83,8 @@ class Guard:
         return True
 
     def admits(self, subprotocols: Iterable[str]) -> bool:
-        """Return whether a WebSocket offers the token, where one is needed."""
-        if not self.token:
-            return True
-        offered = [name.removeprefix(TOKEN_PREFIX) for name in subprotocols if name.startswith(TOKEN_PREFIX)]
-        return any(hmac.compare_digest(name.encode(), self.token.encode()) for name in offered)
+        """Return whether a WebSocket offers the token, where one is needed, as one of its subprotocols."""
+        return not self.token or any(hmac.compare_digest(name.encode(), self.token.encode()) for name in subprotocols)
 
 
 def token_of(folder: Path) -> str:

@@ -1,0 +1,63 @@
+"""What every page is told first: the arena, the palette, the bounds of what may be asked. All from the one place of each fact."""
+
+from __future__ import annotations
+
+from importlib import metadata
+from pathlib import Path
+from typing import Any
+
+from services.console.requests import (
+    GAMES_LIMIT,
+    LONGEST_PERIOD,
+    MESSAGE_LIMIT,
+    PERSON_LIMIT,
+    SHORTEST_PERIOD,
+    STEPS_LIMIT,
+    VIEWS_LIMIT,
+)
+from vantage.deployment import CONFIGURATION
+from vantage.perception.palette import PALETTE
+from vantage.world import arena
+from vantage.world.camera import Camera
+
+PALETTE_NAMES = ("not visible", "free", "boundary", "own robot", "other robot")
+
+
+def deployment_name(folder: Path) -> str:
+    """Return the name of the deployment whose folder it is; empty when services were started by hand."""
+    return folder.resolve().name if (folder / CONFIGURATION).is_file() else ""
+
+
+def welcome(arena_name: str, deployment: str) -> dict[str, Any]:
+    """Return the fields of the frame `welcome` but for the client's number. Lengths in m, angles in rad."""
+    return {
+        "deployment": deployment,
+        "arena": arena_name,
+        "size": arena.ARENA_SIZE,
+        "goals": arena.GOALS.round(3).tolist(),
+        "robot_radius": arena.ROBOT_RADIUS,
+        "catch_distance": arena.CATCH_DISTANCE,
+        "field_of_view": Camera().horizontal_fov,
+        "camera_range": None,  # the simulator's camera sees as far as the walls
+        "palette": PALETTE.tolist(),
+        "palette_names": PALETTE_NAMES,
+        "robot_colors": {"hider": arena.HIDER_COLOR, "seeker": arena.SEEKER_COLOR},
+        "surface_colors": {
+            "floor": arena.FLOOR_COLOR,
+            "wall": arena.WALL_COLOR,
+            "box": arena.BOX_COLOR,
+            "background": arena.BACKGROUND_COLOR,
+        },
+        "limits": {
+            "steps": STEPS_LIMIT,
+            "games": GAMES_LIMIT,
+            "person": PERSON_LIMIT,
+            "period": (SHORTEST_PERIOD, LONGEST_PERIOD),
+            "views": VIEWS_LIMIT,
+            "message": MESSAGE_LIMIT,
+        },
+        "version": metadata.version("vantage-hide-and-seek"),
+    }
+
+
+assert len(PALETTE_NAMES) == len(PALETTE)
