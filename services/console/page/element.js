@@ -38,11 +38,9 @@ export function button(text, onclick, attributes = {}) {
   return make('button', { type: 'button', onclick, ...attributes }, text);
 }
 
-/** A labelled form field; returns its label, the control is `field.control`. */
+/** A labelled form field. */
 export function labelled(text, control, explanation = '') {
-  const label = make('label.field', { title: explanation }, make('span', {}, text), control);
-  label.control = control;
-  return label;
+  return make('label.field', { title: explanation }, make('span', {}, text), control);
 }
 
 export function select(options, value, attributes = {}) {

@@ -42,7 +42,7 @@ export function helpDialog(table) {
     make('div.key-columns', {},
       make('div', {}, section('Watching', table.map(([, name, text]) => [name, text])), section('In the map', IN_THE_MAP)),
       section('Playing the hider', PLAYING)),
-    make('form', { method: 'dialog' }, button('Close', () => dialog.close(), { autofocus: true })));
+    make('form', { method: 'dialog' }, button('Close', () => dialog.close())));
   document.body.append(dialog);
   return dialog;
 }

@@ -12,12 +12,12 @@ const card = (...children) => make('div.card', { role: 'group' }, ...children);
 export function askCard(begin, leave, taken) {
   const limits = welcome()?.limits ?? {};
   const known = localStorage.getItem(PERSON) ?? '';
-  const name = make('input', { type: 'text', maxlength: 60, value: known, autocomplete: 'off', placeholder: 'nothing is stored unless you tick the box' });
+  const name = make('input', { type: 'text', maxlength: limits.person ?? 60, value: known, autocomplete: 'off', placeholder: 'nothing is stored unless you tick the box' });
   const consent = make('input', { type: 'checkbox', checked: known !== '' });
   const fields = {
     games: number(3, 1, limits.games ?? 100),
     steps: number(100, 1, limits.steps ?? 1000),
-    period: number(0.25, 0.05, 10, 0.05),
+    period: number(0.25, limits.period?.[0] || 0.05, limits.period?.[1] ?? 10, 0.05),
     seed: number(1 + Math.floor(Math.random() * 99999), 0, 2 ** 31),
     layout: select(LAYOUTS, 'random'),
     seeker: select(SEEKERS, 'glancing'),

@@ -80,6 +80,7 @@ export class Robots {
   }
 
   legends() {
+    if (!welcome()) return;
     const { palette, palette_names: names, robot_colors: colors } = welcome();
     setText(this.far, `${depthRange().toFixed(1)} m`);
     const words = [...names.slice(0, 3), ...ROBOTS];

@@ -62,7 +62,7 @@ export function receive(head, bytes) {
     touch('past');
     return;
   }
-  if (key === 'playback' && header('playback') && header('playback').jumps !== head.jumps) forgetGame();
+  if (head.forget) forgetShown(); // a replay went to another place
   if (key === 'episode' && isNewGame(head)) forgetGame();
   state.frames[key] = { header: head, payload: bytes, arrived: performance.now() };
   if (key === 'seeker/view') remember(head.episode, head.step, bytes);
@@ -81,6 +81,13 @@ function isNewGame(head) {
 /** Forget everything but the connection: the server is about to say all of it again. */
 function forget() {
   state.frames = {};
+  forgetGame();
+}
+
+function forgetShown() {
+  const { welcome: greeting, services, recording, score, session } = state.frames;
+  const kept = { welcome: greeting, services, recording, score, session };
+  state.frames = Object.fromEntries(Object.entries(kept).filter(([, frame]) => frame));
   forgetGame();
 }
 
