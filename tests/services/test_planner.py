@@ -83,7 +83,7 @@ class Play:
                 self.asked.append(send.request)
                 asks.append(send)
             elif isinstance(send, Publish):
-                kind: dict[type, list] = {Plan: self.plans, Command: self.commands, StateImage: self.views}  # type: ignore[type-arg]
+                kind: dict[type, list] = {Plan: self.plans, Command: self.commands, StateImage: self.views}
                 kind[type(send.message)].append(send.message)
         return asks
 
@@ -281,7 +281,7 @@ def test_it_leaves_episodes_of_other_hiders_alone() -> None:
     driven = len(play.commands)
     assert driven == 5
     for phase in ("setup", "running"):
-        episode = Episode(stamp=1, episode=2, seed=3, phase=phase, rules=play.rules, players=Players(hider="human"))  # type: ignore[arg-type]
+        episode = Episode(stamp=1, episode=2, seed=3, phase=phase, rules=play.rules, players=Players(hider="human"))
         assert play.planner.step(Arrived("episode", episode), 6) == ()
     world = play.simulator.step(Arrived("episode", replace(episode, phase="setup")), 6)
     for send in world:
