@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import random
+from collections.abc import Iterable
 from pathlib import Path
 
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec import structs
+from rich.console import Console
 
-from schemas import Episode, Gap, Pose, encode
+from schemas import Control, Episode, Gap, Message, Players, Pose, encode
 from tests.log.making import START, game, records_of, write_log
-from vantage.log import Record, read
-from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
+from vantage.log import Record, open_log, read
+from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes, games_of
+from vantage.log.report import info
 
 
 def played(number: int, steps: int, **options: object) -> list[Record]:
@@ -123,3 +129,91 @@ def test_losses_after_a_game_do_not_count_against_the_one_before() -> None:
 def test_messages_outside_any_game_belong_to_none() -> None:
     stray = Record("hider/pose", "x", 0, START, 0, encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0)))
     assert list(episodes([stray])) == []
+
+
+def control(action: str, number: int = 0) -> tuple[str, Message]:
+    return "control", Control(stamp=1, episode=number, action=action)  # type: ignore[arg-type]
+
+
+def logged(path: Path, messages: Iterable[tuple[str, Message]]) -> list[EpisodeLog]:
+    write_log(path, records_of(list(messages)))
+    with open_log(path) as log:
+        return list(games_of(log))
+
+
+@pytest.mark.parametrize("after", [1, 2, 3, 6])
+def test_a_discarded_game_is_no_data_however_much_later_it_is_discarded(tmp_path: Path, after: int) -> None:
+    messages = [
+        message for number in range(1, 7) for message in [*game(number, 3), *([control("discard", 1)] * (number == after))]
+    ]
+    found = logged(tmp_path / "log.mcap", messages)
+    assert [(log.discarded, log.complete, log.whole) for log in found] == [(True, False, True), *[(False, True, True)] * 5]
+
+
+def test_other_wishes_discard_nothing() -> None:
+    messages = list(game(1, 3))
+    for action in ("pause", "resume", "stop", "start", "seek"):
+        (found,) = episodes(records_of([*messages, control(action, 1)]))
+        assert found.complete and not found.discarded
+    (found,) = episodes(records_of([*messages, control("discard", 2), control("discard")]))
+    assert found.complete
+
+
+def test_the_newest_game_of_a_number_is_meant(tmp_path: Path) -> None:
+    messages = [*game(1, 3, seed=5), *game(1, 3, seed=6), control("discard", 1)]
+    assert [(log.episode.seed, log.discarded) for log in logged(tmp_path / "log.mcap", messages)] == [(5, False), (6, True)]
+    messages = [*game(1, 3, seed=5), control("discard", 1), *game(1, 3, seed=6)]
+    assert [(log.episode.seed, log.discarded) for log in logged(tmp_path / "other.mcap", messages)] == [(5, True), (6, False)]
+
+
+@given(st.lists(st.tuples(st.integers(0, 8), st.integers(0, 9)), max_size=6))
+def test_discards_anywhere_are_those_that_were_asked_for(
+    tmp_path_factory: pytest.TempPathFactory, wishes: list[tuple[int, int]]
+) -> None:
+    """Brute force: a wish counts for a game that was set up before it."""
+    messages: list[tuple[str, Message]] = []
+    for number in range(1, 8):
+        messages += game(number, 1)
+        messages += [control("discard", which) for after, which in wishes if after == number]
+    expected = {which for after, which in wishes if 1 <= which <= after <= 7}
+    found = logged(tmp_path_factory.mktemp("discards") / "log.mcap", messages)
+    assert {log.number for log in found if log.discarded} == expected
+    assert [log.number for log in found] == list(range(1, 8))
+
+
+def test_a_paused_game_is_one_game() -> None:
+    messages = list(game(1, 6))
+    running = next(message for key, message in messages if isinstance(message, Episode) and message.phase == "running")
+    middle = len(messages) // 2
+    pause = [("episode", structs.replace(running, paused=True, step=3)), control("pause")]
+    resume = [control("resume"), ("episode", structs.replace(running, step=3))]
+    (found,) = episodes(records_of([*messages[:middle], *pause, *resume, *messages[middle:]]))
+    (expected,) = episodes(records_of(messages))
+    assert found.complete and (found.poses, found.commands, found.episode) == (
+        expected.poses,
+        expected.commands,
+        expected.episode,
+    )
+    (broken_off,) = episodes(records_of([*messages[:middle], *pause]))
+    assert (broken_off.episode.phase, broken_off.episode.paused, broken_off.complete) == ("running", True, False)
+
+
+def test_info_says_who_drove_and_what_was_discarded(tmp_path: Path) -> None:
+    def driven(number: int, hider: str, person: str) -> list[tuple[str, Message]]:
+        players = Players(hider=hider, person=person)
+        return [
+            (key, structs.replace(message, players=players) if isinstance(message, Episode) else message)
+            for key, message in game(number, 2)
+        ]
+
+    messages = [*driven(1, "human", "Ada"), *driven(2, "human", ""), *driven(3, "planner", ""), control("discard", 2)]
+    write_log(tmp_path / "log.mcap", records_of(messages))
+    (report,) = info(tmp_path / "log.mcap")
+    assert [(game.driver, game.phase) for game in report.games.values()] == [
+        ("human (Ada)", "ended"),
+        ("human", "ended, discarded"),
+        ("planner", "ended"),
+    ]
+    console = Console(width=200, record=True, file=(tmp_path / "out").open("w"))
+    console.print(report)
+    assert "human (Ada)" in console.export_text()

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 
 from schemas import (
     ROBOTS,
     ColorImage,
     Command,
+    Control,
     DepthImage,
     Episode,
     Gap,
@@ -21,10 +22,10 @@ from schemas import (
     StateImage,
     Tick,
 )
-from vantage.log.reader import Record
+from vantage.log.reader import Log, Record
 
 EPISODE_TOPICS: frozenset[str] = frozenset(
-    {"episode", "tick", "layout", "gap", "hider/plan"}
+    {"episode", "tick", "layout", "gap", "control", "hider/plan"}
     | {f"{robot}/{name}" for robot in ROBOTS for name in ("pose", "depth", "color", "command", "view")}
 )
 """What `episodes` looks at: hand it to `read` as the topics."""
@@ -35,7 +36,8 @@ class EpisodeLog:
     """One game, as far as the log has it. Everything by step; a dictionary lacks the steps that were not recorded.
 
     Attributes:
-        episode: the last word of the referee: phase `ended` or `aborted`, or how far it had come when the log stopped.
+        episode: the last word of the referee: phase `ended` or `aborted`, or how far it had come when the log stopped (within a
+            pause: `running` and `paused`).
         layout: None when the log lacks it.
         poses, depths, colors, commands, views: robot -> step -> message.
         plans: step -> message.
@@ -43,6 +45,7 @@ class EpisodeLog:
         late: step -> robots that stayed because their command did not come in time.
         lost: messages the recorder knows it missed during this game.
         malformed: messages of the game that did not decode.
+        discarded: somebody said later (`control`) that the game is not to be used as data.
     """
 
     episode: Episode
@@ -57,6 +60,7 @@ class EpisodeLog:
     late: dict[int, tuple[Robot, ...]] = field(default_factory=dict)
     lost: int = 0
     malformed: int = 0
+    discarded: bool = False
 
     @property
     def number(self) -> int:
@@ -70,6 +74,11 @@ class EpisodeLog:
 
     @property
     def complete(self) -> bool:
+        """Whether the game is data: whole, and not discarded."""
+        return self.whole and not self.discarded
+
+    @property
+    def whole(self) -> bool:
         """Whether the game ended by the rules and nothing of layout, poses, depth and colour pictures is missing."""
         if self.episode.phase != "ended" or self.layout is None or self.lost or self.malformed:
             return False
@@ -113,6 +122,8 @@ def episodes(records: Iterable[Record]) -> Iterator[EpisodeLog]:
     other), as long as it comes before the set-up of the next game but one. A number that is set up again with another seed is a
     new game.
 
+    A game that is discarded while a later one but one is played has been handed out by then: see `games_of`.
+
     Args:
         records: of one log, in order: `read(path, topics=EPISODE_TOPICS)`.
     """
@@ -134,6 +145,10 @@ def episodes(records: Iterable[Record]) -> Iterator[EpisodeLog]:
             continue
         number = message.episode
         if number == 0:
+            continue
+        if isinstance(message, Control):
+            if message.action == "discard" and number in games:
+                games[number].discarded = True
             continue
         if isinstance(message, Episode) and message.phase == "setup":
             known = games.get(number)
@@ -159,6 +174,31 @@ def episodes(records: Iterable[Record]) -> Iterator[EpisodeLog]:
             while len(early) > 2:
                 early.pop(next(iter(early)))
     yield from games.values()
+
+
+def games_of(log: Log, topics: Collection[str] = EPISODE_TOPICS) -> Iterator[EpisodeLog]:
+    """Group the messages of a log into games, as `episodes`, and know of each whether it was discarded, however much later."""
+    controlled = any(channel.topic == "control" for file in log.files for channel in file.channels.values())
+    discarded = _discarded(log.records(("episode", "control"))) if controlled else frozenset()
+    for game in episodes(log.records(topics)):
+        game.discarded |= (game.number, game.episode.seed) in discarded
+        yield game
+
+
+def _discarded(records: Iterable[Record]) -> frozenset[tuple[int, int]]:
+    """Return the games that were discarded as (number, seed): a wish means the newest game of its number."""
+    seeds: dict[int, int] = {}
+    found = set()
+    for record in records:
+        try:
+            message = record.decode()
+        except MalformedMessage:
+            continue
+        if isinstance(message, Episode):
+            seeds[message.episode] = message.seed
+        elif isinstance(message, Control) and message.action == "discard" and message.episode in seeds:
+            found.add((message.episode, seeds[message.episode]))
+    return frozenset(found)
 
 
 def _under_way(games: dict[int, EpisodeLog]) -> list[EpisodeLog]:

@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from schemas import Episode, Gap, MalformedMessage, Pose
+from schemas import Control, Episode, Gap, MalformedMessage, Pose
 from vantage.log.reader import Record, find_logs, open_log
 
 
@@ -54,10 +54,23 @@ class TopicReport:
 
 @dataclass
 class GameReport:
-    """One game: the referee's last word, and the steps seen."""
+    """One game: the referee's last word, the steps seen, and whether it was discarded afterwards."""
 
     episode: Episode
     steps: int = 0
+    discarded: bool = False
+
+    @property
+    def driver(self) -> str:
+        """Who drove the hider; with the name or pseudonym of the person where it is stored."""
+        players = self.episode.players
+        return f"{players.hider} ({players.person})" if players.person else players.hider
+
+    @property
+    def phase(self) -> str:
+        """How far the game came, and what became of it."""
+        paused = ", paused" if self.episode.paused and self.episode.phase == "running" else ""
+        return f"{self.episode.phase}{paused}{', discarded' if self.discarded else ''}"
 
 
 @dataclass
@@ -101,7 +114,7 @@ class LogReport:
         if topic is None:
             topic = self.topics[record.key, record.publisher] = TopicReport()
         topic.add(record)
-        if record.key not in ("episode", "gap", "hider/pose"):
+        if record.key not in ("episode", "gap", "control", "hider/pose"):
             return
         try:
             message = record.decode()
@@ -110,6 +123,10 @@ class LogReport:
         if isinstance(message, Episode):
             game = self.games.setdefault((message.episode, message.seed), GameReport(message))
             game.episode = message
+        elif isinstance(message, Control):
+            named = [game for game in self.games.values() if game.episode.episode == message.episode]
+            if message.action == "discard" and named:
+                named[-1].discarded = True
         elif isinstance(message, Gap):
             name = f"{message.key} {message.publisher}".rstrip()
             self.gaps[name] = self.gaps.get(name, 0) + message.missed
@@ -158,8 +175,8 @@ class LogReport:
             table.add_column(name)
         for game in self.games.values():
             said = game.episode
-            names = [str(said.episode), str(said.seed), said.players.hider, said.players.seeker, said.rules.layout]
-            table.add_row(*names, str(game.steps), said.phase, said.outcome, said.reason)
+            names = [str(said.episode), str(said.seed), game.driver, said.players.seeker, said.rules.layout]
+            table.add_row(*names, str(game.steps), game.phase, said.outcome, said.reason)
         return table
 
 
