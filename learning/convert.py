@@ -26,7 +26,7 @@ from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, STEP, UnusableDatase
 from learning.splits import SPLITS, split_of
 from schemas import ROBOTS
 from vantage.log import find_logs, open_log, source_commit
-from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
+from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, games_of
 from vantage.perception.state_image import perceive
 
 Sizes = tuple[int, int, int]
@@ -87,6 +87,8 @@ def convert_games(games: Iterable[EpisodeLog]) -> Part:
 
 def _unusable(game: EpisodeLog) -> str:
     """Return why a game cannot serve, or nothing."""
+    if game.discarded:
+        return "discarded by the player"
     if game.episode.phase != "ended":
         return "aborted or not finished"
     if not game.complete:
@@ -140,7 +142,7 @@ def _convert_log(task: tuple[list[Path], Path]) -> tuple[dict[str, NDArray[Any]]
     """Convert one log; its images go to a file, its tables are returned with the log's hash."""
     parts, images = task
     with open_log(*parts) as log:
-        part = convert_games(episodes(log.records(TOPICS)))
+        part = convert_games(games_of(log, TOPICS))
     with images.open("wb") as file:
         file.writelines(part.images)
     tables: dict[str, NDArray[Any]] = {
