@@ -1,4 +1,4 @@
-// The arena from above, in two layers: floor, grid and value map below; obstacles, paths and robots above.
+// The arena from above, in three layers: floor and what is in view; the value map; obstacles, paths and robots.
 
 import { corners, viewOf } from './visibility.js';
 import { make, panel, setText } from './element.js';
@@ -11,23 +11,23 @@ import { ValueMap } from './value_map.js';
 export class Arena {
   /** @param {(goal: number) => void} choose called with the goal that was clicked. */
   constructor(choose) {
-    this.base = make('canvas', { 'aria-hidden': 'true' });
-    this.top = make('canvas', { 'aria-hidden': 'true' });
+    [this.base, this.middle, this.top] = [1, 2, 3].map(() => make('canvas', { 'aria-hidden': 'true' }));
     this.stage = make('div.stage', {
       tabindex: '0', role: 'application', 'aria-roledescription': 'map',
       'aria-label': 'Arena from above. Arrow keys move between goals, Enter asks what the seeker would see on the way there.',
-    }, this.base, this.top);
+    }, this.base, this.middle, this.top);
     this.values = new ValueMap(this, choose);
-    this.facts = make('p.facts', {}, '');
-    const { root, tools } = panel('arena', 'Arena', 'From above, in metres. Click a square: what would the seeker see on the way there?',
+    const { root, tools } = panel('arena', 'Arena', 'Click a square: what would the seeker see on the way there?',
       make('div.arena-body', {}, this.stage, this.values.legend), this.values.line);
     tools.append(this.values.toggle);
     this.root = root;
     this.scale = 0;
+    const poses = ROBOTS.map((robot) => `${robot}/pose`);
     this.unlisten = [
-      onChange(['welcome', 'theme', 'size', 'layout', 'hider/plan', 'values', 'goal', 'episode'], () => this.paintBase()),
-      onChange(['welcome', 'theme', 'size', 'layout', 'hider/plan', 'prediction', 'goal', 'episode', 'playback',
-        ...ROBOTS.flatMap((robot) => [`${robot}/pose`, `${robot}/track`])], () => this.paintTop()),
+      onChange(['welcome', 'theme', 'size', 'layout', ...poses], () => this.paintBase()),
+      onChange(['welcome', 'theme', 'size', 'layout', 'hider/plan', 'values', 'goal', 'episode'], () => this.paintValues()),
+      onChange(['welcome', 'theme', 'size', 'layout', 'hider/plan', 'prediction', 'goal', 'episode', 'playback', 'driven',
+        ...poses, ...ROBOTS.map((robot) => `${robot}/track`)], () => this.paintTop()),
     ];
     this.observer = new ResizeObserver(() => this.fit());
     this.observer.observe(this.stage);
@@ -46,7 +46,7 @@ export class Arena {
 
   fit() {
     const ratio = devicePixelRatio;
-    for (const canvas of [this.base, this.top]) {
+    for (const canvas of [this.base, this.middle, this.top]) {
       canvas.width = Math.round(this.stage.clientWidth * ratio);
       canvas.height = Math.round(this.stage.clientHeight * ratio);
     }
@@ -62,7 +62,7 @@ export class Arena {
     const [width, height] = [canvas.width / ratio, canvas.height / ratio];
     context.clearRect(0, 0, width, height);
     const [across, along] = this.size();
-    const [left, below, edge] = [this.font * 2.6, this.font * 2.1, this.font * 0.7];
+    const [left, below, edge] = [this.font * 3.4, this.font * 2.4, this.font * 0.7];
     this.scale = Math.max(1, Math.min((width - left - edge) / across, (height - below - edge) / along));
     this.left = left + (width - left - edge - across * this.scale) / 2;
     this.bottom = edge + along * this.scale + (height - below - edge - along * this.scale) / 2;
@@ -82,9 +82,20 @@ export class Arena {
     const [width, depth] = this.size();
     context.fillStyle = color('floor');
     context.fillRect(this.x(0), this.y(depth), width * this.scale, depth * this.scale);
+    for (const [robot, pose] of this.poses()) this.fieldOfView(context, robot, pose);
     this.grid(context, width, depth);
+  }
+
+  paintValues() {
+    if (!this.middle.width || !welcome()) return;
+    const context = this.begin(this.middle);
     if (state.valuesShown) this.values.paint(context);
     this.values.describe();
+  }
+
+  /** [robot, its pose] of those that were seen. */
+  poses() {
+    return ROBOTS.map((robot) => [robot, header(`${robot}/pose`)]).filter(([, pose]) => pose);
   }
 
   grid(context, width, depth) {
@@ -93,22 +104,21 @@ export class Arena {
     context.textBaseline = 'middle';
     const tenths = (length) => Array.from({ length: Math.floor(length * 10 + 1e-6) + 1 }, (_, i) => i / 10);
     const every = this.scale * 0.1 < this.font * 2.4 ? 2 : 1;
-    const text = (metres, axis, end) => metres.toFixed(1) + (end ? ` ${axis} [m]` : '');
     for (const metres of tenths(width)) {
       context.strokeStyle = color('grid');
       context.strokeRect(this.x(metres), this.y(depth), 0, depth * this.scale);
       context.textAlign = 'center';
-      if (Math.round(metres * 10) % every === 0) context.fillText(text(metres), this.x(metres), this.bottom + this.font * 0.85);
+      if (Math.round(metres * 10) % every === 0) context.fillText(metres.toFixed(1), this.x(metres), this.bottom + this.font * 0.85);
     }
     for (const metres of tenths(depth)) {
       context.strokeRect(this.x(0), this.y(metres), width * this.scale, 0);
       context.textAlign = 'right';
-      if (Math.round(metres * 10) % every === 0) context.fillText(text(metres), this.left - this.font * 0.45, this.y(metres));
+      if (Math.round(metres * 10) % every === 0) context.fillText(metres.toFixed(1), this.left - this.font * 0.45, this.y(metres));
     }
     context.textAlign = 'center';
-    context.fillText('x [m]', this.x(width / 2 + 0.05), this.bottom + this.font * 0.85 + (every === 1 ? this.font : 0));
+    context.fillText('x [m]', this.x(width / 2 + 0.05), this.bottom + this.font * 1.85);
     context.save();
-    context.translate(this.left - this.font * 2.15, this.y(depth / 2 + 0.05));
+    context.translate(this.left - this.font * 2.75, this.y(depth / 2 + 0.05));
     context.rotate(-Math.PI / 2);
     context.fillText('y [m]', 0, 0);
     context.restore();
@@ -121,10 +131,8 @@ export class Arena {
     if (!this.top.width || !welcome()) return;
     const context = this.begin(this.top);
     for (const box of ofThisGame('layout')?.obstacles ?? header('layout')?.obstacles ?? []) this.box(context, box);
-    const poses = ROBOTS.map((robot) => [robot, header(`${robot}/pose`)]).filter(([, pose]) => pose);
-    for (const [robot, pose] of poses) this.fieldOfView(context, robot, pose);
     this.routes(context);
-    for (const [robot, pose] of poses) this.robot(context, robot, pose, header(`${robot}/track`));
+    for (const [robot, pose] of this.poses()) this.robot(context, robot, pose, header(`${robot}/track`));
     this.values.paintChoice(context);
   }
 
@@ -148,7 +156,7 @@ export class Arena {
     const [width, depth] = this.size();
     this.trace(context, viewOf(pose, field, range ?? 100, header('layout')?.obstacles ?? [], width, depth));
     context.closePath();
-    context.fillStyle = css(colors[robot], 0.13);
+    context.fillStyle = css(colors[robot], 0.2);
     context.strokeStyle = css(colors[robot], 0.75);
     context.lineWidth = 1;
     context.setLineDash(robot === 'seeker' ? [4, 3] : []);

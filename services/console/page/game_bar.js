@@ -4,7 +4,7 @@ import { button, labelled, make, number, select, setText } from './element.js';
 import { onChange } from './painting.js';
 import { episode, gameOn, header, replaying, welcome } from './state.js';
 
-export const SEEKERS = [['glancing', 'glancing (looks about)'], ['expert', 'expert (knows where you are)']];
+export const SEEKERS = [['glancing', 'glancing'], ['expert', 'expert']];
 export const LAYOUTS = [['random', 'random'], ['lab', 'lab']];
 
 export class GameBar {
@@ -18,7 +18,7 @@ export class GameBar {
       steps: number(100, 1, 1000),
       period: number(0.25, 0, 10, 0.05),
       layout: select(LAYOUTS, 'random'),
-      seeker: select(SEEKERS.map(([key]) => [key, key]), 'glancing'),
+      seeker: select(SEEKERS, 'glancing'),
       hider: select([['planner', 'planner'], ['human', 'you']], 'planner'),
     };
     const { fields } = this;
@@ -36,7 +36,7 @@ export class GameBar {
     labelled('T [steps]', fields.steps, 'Steps the hider has to survive'),
     labelled('step [s]', fields.period, 'Seconds a step takes; 0 = as fast as the players answer'),
     labelled('layout', fields.layout, 'Where the obstacles stand'),
-    labelled('seeker', fields.seeker, 'How well the seeker knows where the hider is'),
+    labelled('seeker', fields.seeker, 'glancing looks about for the hider; expert searches better'),
     labelled('hider', fields.hider, 'Who drives the hider: the planner, or you'),
     make('div.buttons', {}, this.start, this.pause, this.stop),
     make('span.fact.score', { title: 'Games since the console started' }, make('span.label', {}, 'score'), this.score));
@@ -73,7 +73,9 @@ export class GameBar {
     this.stop.disabled = !gameOn();
     const score = header('score');
     setText(this.score, score?.games
-      ? `${score.survived} survived, ${score.caught} caught, mean ${Number(score.mean_steps ?? 0).toFixed(0)} steps` : 'no game yet');
+      ? `${score.survived} survived, ${score.caught} caught` : 'no game has ended');
+    this.score.title = score?.games
+      ? `mean ${Number(score.mean_steps ?? 0).toFixed(0)} steps; ${score.aborted} aborted, ${score.discarded} discarded` : '';
     setText(this.pause, episode()?.paused && episode()?.phase === 'running' ? 'Go on' : 'Pause');
   }
 }

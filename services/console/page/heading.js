@@ -36,7 +36,7 @@ export class Heading {
     this.tabs = make('nav.tabs', { 'aria-label': 'Mode' }, this.watch, this.play);
     root.append(make('h1', {}, 'Vantage', make('span', {}, ' console')), this.place, this.tabs,
       make('div.facts-row', {}, this.phase, this.game, this.seed, this.step, this.players),
-      make('div.right', {}, this.recording, this.connection,
+      make('div.aside', {}, this.recording, this.connection,
         button('◐', actions.theme, { title: 'Dark or light (T)', 'aria-label': 'Change between dark and light' }),
         button('?', actions.help, { title: 'Keys (?)', 'aria-label': 'Show the keys' })));
     onChange(['welcome', 'episode', 'tick', 'recording', 'connected', 'mode', 'playback'], () => this.paint());

@@ -14,7 +14,7 @@ export class Health {
     const head = (text, explanation, name = '') => make(`th${name}`, { scope: 'col', title: explanation }, text);
     this.table = make('table', {},
       make('thead', {}, make('tr', {}, head('service', 'Process'), head('state', 'What it says of itself'),
-        head('up', 'Time since it started', '.number'), head('said', 'Age of its last report, s', '.number'),
+        head('up', 'Time since it started', '.number'), head('heard', 'Age of its last report, s', '.number'),
         head('lost', 'Messages known to be missing', '.number'), head('bad', 'Malformed messages refused', '.number'),
         head('reason', 'What is wrong'))), this.body);
     const { root } = panel('health', 'Services', 'How each process does; a reason where one is in trouble.',

@@ -6,6 +6,7 @@ import { onChange } from './painting.js';
 import { paintColor, paintView } from './pictures.js';
 import { askCard, countCard, outcomeCard, pauseCard, waitCard } from './play_cards.js';
 import { PlaySession } from './play_session.js';
+import { classes } from './robots.js';
 import { clockRuns, episode, header, ofThisGame, payload, state, step, welcome } from './state.js';
 
 const SHOWN = 'vantage-state-image';
@@ -31,7 +32,8 @@ export class Play {
     const fact = (label, ...values) => make('div.fact', {}, make('span.label', {}, label), ...values);
     this.pads = Object.fromEntries(PRIMITIVES.map((primitive) => [primitive, this.pad(primitive)]));
     this.toggle = button('State image (I)', () => this.showView(!this.viewShown), { 'aria-pressed': String(this.viewShown) });
-    this.second = make('figure.own-view', { hidden: !this.viewShown }, this.view, make('figcaption', {}, 'your state image: seen from above, arena 1.2 m'));
+    this.classes = make('ul.classes');
+    this.second = make('figure.own-view', { hidden: !this.viewShown }, this.view, make('figcaption', {}, 'your state image: what you see, from above'), this.classes);
     this.root = make('section.play', { 'aria-label': 'Play the hider' },
       make('div.play-facts', {}, fact('to survive', this.remaining, make('span', {}, ' steps '), this.seconds),
         fact('step', this.step), fact('pace', this.pace), fact('game', this.number)),
@@ -101,6 +103,7 @@ export class Play {
   }
 
   paintView() {
+    if (this.viewShown && welcome() && !this.classes.children.length) this.classes.append(...classes());
     if (this.viewShown && welcome() && header('hider/view')) paintView(this.view, payload('hider/view'), 'hider');
   }
 

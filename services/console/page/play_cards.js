@@ -12,7 +12,7 @@ const card = (...children) => make('div.card', { role: 'group' }, ...children);
 export function askCard(begin, leave, taken) {
   const limits = welcome()?.limits ?? {};
   const known = localStorage.getItem(PERSON) ?? '';
-  const name = make('input', { type: 'text', maxlength: limits.person ?? 60, value: known, autocomplete: 'off', placeholder: 'nothing is stored unless you tick the box' });
+  const name = make('input', { type: 'text', maxlength: limits.person ?? 60, value: known, autocomplete: 'off', placeholder: 'optional' });
   const consent = make('input', { type: 'checkbox', checked: known !== '' });
   const fields = {
     games: number(3, 1, limits.games ?? 100),
@@ -43,9 +43,9 @@ export function askCard(begin, leave, taken) {
       labelled('step [s]', fields.period, 'The pace: seconds a step takes'),
       labelled('seed', fields.seed, 'The same seed gives the same layout and starts'),
       labelled('layout', fields.layout, 'Where the obstacles stand'),
-      labelled('seeker', fields.seeker, 'How well the seeker knows where you are')),
+      labelled('seeker', fields.seeker, 'glancing looks about for you; expert searches better')),
     make('div.consent', {},
-      labelled('name or pseudonym (optional)', name),
+      labelled('name or pseudonym', name),
       make('label.check', {}, consent, make('span', {}, 'store it with the recording'))),
     make('p.quiet', {}, 'Your moves are recorded as those of a human. Without the tick the recording has no name.'),
     taken ? make('p.trouble', {}, 'Somebody is playing at another page now. Wait until that game is over.') : null,

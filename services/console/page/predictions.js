@@ -18,7 +18,7 @@ export class Predictions {
     this.title = make('p.facts', { 'aria-live': 'polite' }, ' ');
     this.row = make('div.predictions-row', { role: 'list' });
     const { root } = panel('predictions', 'Seeker’s view: predicted and true',
-      'What the seeker would see on the way to a goal (click one), and below it what it really saw at that step.',
+      'Click a goal: what would the seeker see on the way there?',
       this.title, this.row);
     this.root = root;
     this.cells = [];
@@ -43,7 +43,7 @@ export class Predictions {
       const cell = this.cells[i];
       const percent = Math.round(100 * found.caught[i]);
       setText(cell.step, `step ${at}`);
-      setText(cell.percent, `${percent} %`);
+      setText(cell.percent, `caught ${percent} %`);
       cell.percent.dataset.level = percent >= 50 ? 'high' : 'low';
       cell.root.setAttribute('aria-label', `Step ${at}: caught with ${percent} percent`);
       paintPredicted(cell.predicted, bytes.subarray(i * BYTES, (i + 1) * BYTES));
@@ -57,8 +57,9 @@ export class Predictions {
     if (state.asked !== null) text = `Asking the predictor about goal ${nameOf(state.asked)}…`;
     else if (found?.error) text = `No prediction for goal ${nameOf(found.goal)}: ${found.error}`;
     else if (found) {
-      const driven = thePlan?.goal === found.goal ? 'the hider’s own goal' : 'your goal; the true views are those of the way really driven';
-      text = `To ${nameOf(found.goal)} (${driven}): ${worthOf(found.goal)}; predicted in ${(found.elapsed * 1000).toFixed(0)} ms`;
+      const own = thePlan?.goal === found.goal;
+      text = `To ${nameOf(found.goal)}, ${own ? 'the hider’s goal' : 'your goal'}: ${worthOf(found.goal)}; predicted in `
+        + `${(found.elapsed * 1000).toFixed(0)} ms.${own ? '' : ' True: on the way really driven.'}`;
     } else if (thePlan?.predictable) text = 'Click a coloured square in the arena.';
     else if (gameOn() && episode().players.hider === 'human') text = 'A person drives the hider: there is no plan to predict along.';
     else text = 'Waits for the plan of a game; then click a coloured square in the arena.';

@@ -18,6 +18,17 @@ const PAINT = {
   view: (canvas, key) => paintView(canvas, payload(key), key.split('/')[0]),
 };
 
+/** What the colours of a state image stand for; a robot's own disc is named by the robot, see `pictures.js`. */
+export function classes() {
+  const { palette, palette_names: names } = welcome();
+  const words = [...names.slice(0, 3), ...ROBOTS];
+  return palette.map((shade, i) => {
+    const swatch = make('i.key');
+    swatch.style.background = css(shade);
+    return make('li', {}, swatch, words[i] ?? '');
+  });
+}
+
 /** One picture with caption, age and the words for while there is none. */
 class Picture {
   constructor(robot, kind) {
@@ -81,14 +92,9 @@ export class Robots {
 
   legends() {
     if (!welcome()) return;
-    const { palette, palette_names: names, robot_colors: colors } = welcome();
+    const { robot_colors: colors } = welcome();
     setText(this.far, `${depthRange().toFixed(1)} m`);
-    const words = [...names.slice(0, 3), ...ROBOTS];
-    this.classes.replaceChildren(...palette.map((shade, i) => {
-      const swatch = make('i.key');
-      swatch.style.background = css(shade);
-      return make('li', {}, swatch, words[i] ?? '');
-    }));
+    this.classes.replaceChildren(...classes());
     for (const robot of ROBOTS) this.names[robot].firstChild.style.background = css(colors[robot]);
   }
 }

@@ -68,6 +68,7 @@ export function receive(head, bytes) {
   if (key === 'seeker/view') remember(head.episode, head.step, bytes);
   if (key === 'prediction') state.asked = null;
   if (key === 'notice') state.notices.push(head);
+  if (key === 'driven') catchUp(head);
   const robot = key.endsWith('/pose') && key.slice(0, -5);
   if (robot) extend(robot, head);
   touch(key, head.stamp);
@@ -118,6 +119,14 @@ function extend(robot, pose) {
   const path = state.paths[robot];
   while (path.length && path[path.length - 1][0] >= pose.step) path.pop(); // a replay went back
   path.push([pose.step, pose.x, pose.y]);
+}
+
+/** What was driven before this page came. */
+function catchUp({ episode: number, hider, seeker }) {
+  if (state.pathsOf !== null && state.pathsOf !== number) return;
+  state.pathsOf = number;
+  const merged = (early, late) => [...early.filter(([at]) => !late.length || at < late[0][0]), ...late];
+  state.paths = { hider: merged(hider, state.paths.hider), seeker: merged(seeker, state.paths.seeker) };
 }
 
 /** The driven paths survive a reload of the page: the bus only says where the robots are now. */

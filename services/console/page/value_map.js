@@ -158,8 +158,8 @@ export class ValueMap {
     else if (found.goal === null) setText(this.line, 'The hider has no goal.');
     else {
       const checkpoints = Math.floor(found.horizon / found.checkpoint_interval);
-      setText(this.line, `The hider drives to ${nameOf(found.goal)}: ${worthOf(found.goal)} (${checkpoints} checkpoints, `
-        + `one every ${found.checkpoint_interval} steps; planned in ${(found.elapsed * 1000).toFixed(0)} ms at step ${found.step})`);
+      setText(this.line, `Hider’s goal ${nameOf(found.goal)}: ${worthOf(found.goal)}, of ${checkpoints} (one every `
+        + `${found.checkpoint_interval} steps). Planned at step ${found.step} in ${(found.elapsed * 1000).toFixed(0)} ms.`);
     }
   }
 }

@@ -40,7 +40,7 @@ export class Watch {
     this.games = new GameBar(send, play);
     this.replay = new ReplayBar(send);
     this.invitation = make('div.invitation', { hidden: true });
-    this.arena.stage.after(this.invitation);
+    this.arena.root.children[1].before(this.invitation);
     this.root = make('div.watch', {}, make('div.column', {}, this.arena.root, this.health.root),
       make('div.column', {}, this.robots.root, this.predictions.root));
     this.footer = [this.games.root, this.replay.root];
