@@ -246,7 +246,8 @@ class ConsoleCore:
         first = [key for key in ("episode", "playback") if key in self._latest]
         frames = [frame("welcome", {"client": client, **self._about})]
         frames += [self._frame_of(key) for key in (*first, *(key for key in self._latest if key not in first))]
-        frames += [make(now) for make in self._own.values()]
+        # What is stale goes to every page after this.
+        frames += [make(now) for key, make in self._own.items() if key not in self._stale]
         return [_to(client, data) for data in frames]
 
     def _on_gone(self, client: int) -> list[Send]:
