@@ -6,7 +6,6 @@ a log depends on its settings alone: the same command makes the same bytes of ev
 
 from __future__ import annotations
 
-import hashlib
 import json
 import multiprocessing
 import os
@@ -17,34 +16,30 @@ from dataclasses import asdict, dataclass, field, replace
 from multiprocessing.queues import Queue
 from pathlib import Path
 from queue import Empty
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
-import numpy as np
 import psutil
 import tyro
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from learning.hiders.core import HiderCore
 from learning.hiders.policy import HiderPolicy
-from learning.hiders.replay import Trajectories
+from learning.hiders.recorded import NO_TRAJECTORIES, TrajectoriesBySplit, read_trajectories, trajectories_hash
 from learning.hiders.table import HIDERS, policy_generator
 from learning.in_process import play
 from learning.splits import SPLITS, split_of
-from schemas import PRIMITIVES, Command, Episode, Players, Rules
+from schemas import Episode, Players, Rules
 from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
-from vantage.log import LogWriter, RunMetadata, open_log, read, source_commit
+from vantage.log import LogWriter, RunMetadata, open_log, source_commit
 from vantage.play import SeekerPreset
 from vantage.service import Core
 from vantage.world.layout import ImpossibleLayout, make_layout
 
 EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
-TrajectoriesBySplit = tuple[Trajectories, Trajectories, Trajectories]
-NO_TRAJECTORIES: TrajectoriesBySplit = ((), (), ())
 EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
 LARGEST_SEED = (2**63 - 1 - EPOCH) // EPISODE_SPACING - 1  # stamps are int64
 
@@ -56,7 +51,8 @@ class CollectSettings:
     Examples:
       vantage collect --episodes 4500 --hider goal-walk --to logs/
       vantage collect --episodes 300 --hider scripted --rules.no-catching --to evader/
-      vantage collect --episodes 1500 --hider replay --from-logs evader/ --to logs/
+      vantage collect --episodes 1500 --hider replay --from evader/ --to logs/
+      vantage collect --episodes 1500 --hider replay --from recordings/ --driver human --to logs/
     """
 
     episodes: int = 100
@@ -67,8 +63,10 @@ class CollectSettings:
     """Preset of the seeker."""
     to: Path = Path("logs")
     """Folder for the logs."""
-    from_logs: Path | None = None
-    """Logs whose hider trajectories `--hider replay` plays."""
+    source: Annotated[Path | None, tyro.conf.arg(name="from")] = None
+    """Logs whose hider trajectories `--hider replay` plays, from other starts."""
+    driver: str | None = None
+    """Of those logs only the games that this hider drove: `human`, `planner`, `scripted-1`, ...; default: all."""
     seed: int = 1
     """Seed of the first episode; episode n uses seed + n - 1."""
     workers: int = 0
@@ -96,17 +94,24 @@ def main(settings: CollectSettings) -> int:
         return 2
     trajectories = NO_TRAJECTORIES
     if settings.hider == "replay":
-        if settings.from_logs is None:
-            print("`--hider replay` needs the recorded trajectories: --from-logs FOLDER", file=sys.stderr)
+        if settings.source is None:
+            print("`--hider replay` needs the recorded trajectories: --from FOLDER", file=sys.stderr)
             return 2
-        trajectories = read_trajectories(settings.from_logs)
+        try:
+            found = read_trajectories(settings.source, settings.driver)
+        except FileNotFoundError as error:
+            print(error, file=sys.stderr)
+            return 2
+        trajectories = found.by_split
         if not any(trajectories):
-            print(f"{settings.from_logs} holds no hider trajectory", file=sys.stderr)
+            wanted = f" that `{settings.driver}` drove" if settings.driver else ""
+            print(f"{settings.source} holds no hider trajectory{wanted}: {found}", file=sys.stderr)
             return 2
+        print(f"{settings.source}: {found}")
         needed = {split_of(seed) for seed in range(settings.seed, settings.seed + settings.episodes)}
         if lacking := [SPLITS[split] for split in sorted(needed) if not trajectories[split]]:
             print(
-                f"{settings.from_logs} holds no trajectory of the splits {', '.join(lacking)}: an episode replays only what was "
+                f"{settings.source} holds no trajectory of the splits {', '.join(lacking)}: an episode replays only what was "
                 "recorded in its own split, so that no path is in training and in test; record more games",
                 file=sys.stderr,
             )
@@ -119,7 +124,7 @@ def main(settings: CollectSettings) -> int:
     for block in blocks:
         path = log_path(settings, block)
         held = configuration_in(path) if path.exists() else {}
-        if held and held["settings"] != configuration_of(settings, block)["settings"]:
+        if held and not is_same(held["settings"], configuration_of(settings, block)["settings"]):
             print(f"{path} was made with other settings: choose another folder with --to, or remove it", file=sys.stderr)
             return 2
         if held and held.get("trajectories", recorded) != recorded:
@@ -160,19 +165,16 @@ def configuration_of(
     settings: CollectSettings, block: range, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES
 ) -> dict[str, Any]:
     """Return what a log says of its making: nothing that depends on where or when it was made."""
-    portable = replace(settings, to=Path(), from_logs=None, workers=0, episodes=0)
+    portable = replace(settings, to=Path(), source=None, driver=None, workers=0, episodes=0)
     plain = json.dumps(asdict(portable), default=lambda value: msgspec.to_builtins(value, enc_hook=str))
     return {"settings": json.loads(plain), "games": len(block), "trajectories": trajectories_hash(trajectories)}
 
 
-def trajectories_hash(trajectories: TrajectoriesBySplit) -> str:
-    """Return a hash of what `--hider replay` may play; empty when there is nothing."""
-    digest = hashlib.sha256()
-    for split in trajectories:
-        for primitives in split:
-            digest.update(len(primitives).to_bytes(8, "little") + primitives.tobytes())
-        digest.update(b"split")
-    return digest.hexdigest() if any(trajectories) else ""
+def is_same(held: dict[str, Any], settings: dict[str, Any]) -> bool:
+    """Return whether a log was made with these settings; what is None has no part in it, by whatever name it went."""
+    return {name: value for name, value in held.items() if value is not None} == {
+        name: value for name, value in settings.items() if value is not None
+    }
 
 
 def configuration_in(path: Path) -> dict[str, Any]:
@@ -188,25 +190,6 @@ def configuration_in(path: Path) -> dict[str, Any]:
 def log_path(settings: CollectSettings, block: range) -> Path:
     """Return the log of a block of episodes."""
     return settings.to / f"{settings.hider}_{settings.seeker}_{settings.seed + block[0] - 1:07d}.mcap"
-
-
-def read_trajectories(folder: Path) -> TrajectoriesBySplit:
-    """Return the hider's primitives (int64 [steps]) of each episode in logs, by the split of the episode."""
-    number = {name: index for index, name in enumerate(PRIMITIVES)}
-    found: tuple[list[NDArray[np.int64]], ...] = ([], [], [])
-    for path in sorted(folder.rglob("*.mcap")):
-        primitives: dict[int, list[int]] = {}  # by seed
-        seeds: dict[int, int] = {}
-        for record in read(path, topics=("episode", "hider/command")):
-            message = record.decode()
-            if isinstance(message, Episode):
-                seeds[message.episode] = message.seed
-            elif isinstance(message, Command) and message.episode in seeds:
-                primitives.setdefault(seeds[message.episode], []).append(number[message.primitive])
-        for seed, sequence in primitives.items():
-            found[split_of(seed)].append(np.array(sequence, np.int64))
-    train, validation, test = (tuple(trajectories) for trajectories in found)
-    return train, validation, test
 
 
 def play_block(settings: CollectSettings, block: range, path: Path, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES) -> int:

@@ -142,7 +142,7 @@ def plan(settings: GatherSettings, wanted: dict[str, Sizes], spare: dict[str, Si
             hider=hider,
             seeker=settings.seeker,
             to=settings.to / folder,
-            from_logs=source,
+            source=source,
             seed=first,
             workers=settings.workers,
             block=settings.block,

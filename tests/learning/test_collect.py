@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from learning.collect import CollectSettings, log_path, main, play_block, read_trajectories
+from learning.collect import CollectSettings, log_path, main, play_block
+from learning.hiders.recorded import read_trajectories
 from learning.hiders.table import HIDERS
 from learning.splits import split_of
 from schemas import Plan, Pose, Rules
@@ -79,7 +80,7 @@ def test_the_plan_in_force_is_what_happens_until_it_is_replaced(tmp_path: Path) 
 
 def test_an_evader_recorded_without_catches_can_be_replayed(tmp_path: Path) -> None:
     path = collect(tmp_path, "scripted", catching=False)
-    trajectories = [primitives for split in read_trajectories(tmp_path) for primitives in split]
+    trajectories = [primitives for split in read_trajectories(tmp_path).by_split for primitives in split]
     assert [len(primitives) for primitives in trajectories] == [120] * 3
     poses = [record.decode() for record in read(path, topics=("hider/pose",))]
     assert all(isinstance(pose, Pose) for pose in poses)
@@ -111,7 +112,7 @@ def test_unknown_hiders_and_missing_trajectories_are_clear_errors(tmp_path: Path
     assert main(CollectSettings(hider="nobody", to=tmp_path)) == 2
     assert "goal-walk" in capsys.readouterr().err
     assert main(CollectSettings(hider="replay", to=tmp_path)) == 2
-    assert "--from-logs" in capsys.readouterr().err
+    assert "--from FOLDER" in capsys.readouterr().err
 
 
 def test_an_episode_replays_only_what_was_recorded_in_its_own_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -119,16 +120,16 @@ def test_an_episode_replays_only_what_was_recorded_in_its_own_split(tmp_path: Pa
     rules = Rules(maximum_steps=12, catching=False)
     recorded = CollectSettings(episodes=40, hider="random", seed=20, to=tmp_path / "evader", workers=1, rules=rules)
     assert main(recorded) == 0
-    by_split = read_trajectories(tmp_path / "evader")
+    by_split = read_trajectories(tmp_path / "evader").by_split
     assert [len(split) for split in by_split] == [sum(split_of(seed) == split for seed in range(20, 60)) for split in range(3)]
     assert all(by_split), "choose seeds that fall into every split"
-    replayed = replace_settings(recorded, hider="replay", to=tmp_path / "replay", from_logs=tmp_path / "evader")
+    replayed = replace_settings(recorded, hider="replay", to=tmp_path / "replay", source=tmp_path / "evader")
     assert main(replayed) == 0
-    for split, trajectories in enumerate(read_trajectories(tmp_path / "replay")):
+    for split, trajectories in enumerate(read_trajectories(tmp_path / "replay").by_split):
         own = {tuple(primitives) for primitives in by_split[split]}
         for primitives in trajectories:
             assert any(known[: len(primitives)] == tuple(primitives) for known in own)
     few = replace_settings(recorded, episodes=2, to=tmp_path / "few")
     assert main(few) == 0
-    assert main(replace_settings(replayed, from_logs=tmp_path / "few", to=tmp_path / "other")) == 2
+    assert main(replace_settings(replayed, source=tmp_path / "few", to=tmp_path / "other")) == 2
     assert "holds no trajectory of the splits" in capsys.readouterr().err

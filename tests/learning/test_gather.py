@@ -152,7 +152,7 @@ def test_no_seed_serves_two_policies_and_all_kinds_share_their_seeds() -> None:
         ranges[kind] = {name: range(one.seed, one.seed + one.episodes) for name, one in made.items()}
         assert [one.hider for one in made.values()] == ["scripted", *HIDERS]
         assert all(one.rules.catching == (name != "evader") for name, one in made.items())
-        assert made["replay"].from_logs == made["evader"].to
+        assert made["replay"].source == made["evader"].to
     assert len({str(value) for value in ranges.values()}) == 1
     seeds = Counter(seed for one in next(iter(ranges.values())).values() for seed in one)
     assert max(seeds.values()) == 1
@@ -236,9 +236,7 @@ def test_a_replay_of_other_recordings_is_not_kept(tmp_path: Path, capsys: pytest
     evader = CollectSettings(
         episodes=40, hider="random", seed=20, to=tmp_path / "evader", workers=1, rules=Rules(maximum_steps=4, catching=False)
     )
-    replay = replace(
-        evader, episodes=2, hider="replay", to=tmp_path / "replay", from_logs=evader.to, rules=Rules(maximum_steps=4)
-    )
+    replay = replace(evader, episodes=2, hider="replay", to=tmp_path / "replay", source=evader.to, rules=Rules(maximum_steps=4))
     assert collect.main(evader) == collect.main(replay) == collect.main(replay) == 0
     assert collect.main(replace(evader, seed=120)) == 0
     assert collect.main(replay) == 2

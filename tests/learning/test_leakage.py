@@ -12,10 +12,11 @@ from numpy.typing import NDArray
 
 from learning import evaluate, gather, recipe, train_caught, train_vpn, train_vpt_tob
 from learning.accuracy.examples import draw_examples
-from learning.collect import CollectSettings, play_block, read_trajectories
+from learning.collect import CollectSettings, play_block
 from learning.convert import convert
 from learning.dataset import Dataset, Samples
 from learning.gather import MIXTURE, GatherSettings
+from learning.hiders.recorded import read_trajectories
 from learning.recipe import PRESETS, VPN_PRESETS
 from learning.roll_outs.start import start_of
 from learning.splits import SPLITS, split_of
@@ -148,7 +149,7 @@ def test_what_is_drawn_is_of_the_split_that_was_asked_for(data: Dataset) -> None
 
 
 def test_no_recording_is_replayed_in_two_splits(folder: Path, games: dict[int, EpisodeLog]) -> None:
-    recorded = read_trajectories(folder / "evader")
+    recorded = read_trajectories(folder / "evader").by_split
     assert all(recorded)
     numbers = {"stay": 0, "forward": 1, "backward": 2, "left": 3, "right": 4}
     told_apart = 0
