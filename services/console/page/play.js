@@ -125,8 +125,9 @@ export class Play {
     this.cover.hidden = !card;
     this.root.classList.toggle('asking', session.phase === 'ask');
     if (session.phase !== 'game') this.drive.release();
-    card?.querySelector('.primary:not([disabled])')?.focus();
-    if (!card) document.activeElement?.blur?.(); // space and arrows go to the game, not to a button
+    // Not on a button: a space or Enter that was meant for the game must not press one.
+    if (card) card.focus({ preventScroll: true });
+    else document.activeElement?.blur?.();
   }
 
   paintFacts() {
@@ -134,13 +135,14 @@ export class Play {
     const playing = session.phase === 'game' && episode();
     const rules = playing ? episode().rules : null;
     const total = rules?.maximum_steps ?? session.options?.steps ?? null;
-    const done = playing ? step() : 0;
+    const over = ['between', 'done'].includes(session.phase) ? session.last : null;
+    const done = playing ? step() : over?.steps ?? 0;
     const period = rules?.step_period ?? session.options?.period ?? 0.25;
     setText(this.remaining, total === null ? '–' : String(Math.max(0, total - done)));
     setText(this.seconds, total === null ? '' : `≈ ${((total - done) * period).toFixed(0)} s`);
     setText(this.step, total === null ? '–' : `${done} of ${total}`);
     setText(this.pace, period > 0 ? `${(1 / period).toFixed(1)} steps/s` : 'as fast as you answer');
-    setText(this.number, session.options ? `${Math.min(session.counted.length + 1, session.options.games)} of ${session.options.games}` : '–');
+    setText(this.number, session.options ? `${Math.min(session.counted.length + (over ? 0 : 1), session.options.games)} of ${session.options.games}` : '–');
     this.bar.style.width = total ? `${(100 * done) / total}%` : '0';
     const frame = state.frames['hider/color'];
     const age = frame ? (performance.now() - frame.arrived) / 1000 : 0;

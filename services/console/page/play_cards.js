@@ -6,7 +6,7 @@ import { episode, welcome } from './state.js';
 
 const PERSON = 'vantage-person';
 
-const card = (...children) => make('div.card', { role: 'group' }, ...children);
+const card = (...children) => make('div.card', { role: 'group', tabindex: '-1' }, ...children);
 
 /** Rules in three lines, the name with its consent, and what is played. */
 export function askCard(begin, leave, taken) {
@@ -31,7 +31,7 @@ export function askCard(begin, leave, taken) {
     begin({ seed: value('seed'), games: value('games'), steps: value('steps'), period: value('period'), layout: fields.layout.value, seeker: fields.seeker.value, person });
   };
   const catching = Math.round(100 * (welcome()?.catch_distance ?? 0.15));
-  return make('form.card.ask', { onsubmit: submit },
+  return make('form.card.ask', { tabindex: '-1', onsubmit: submit },
     make('h2', {}, 'Play the hider'),
     make('ol.rules', {},
       make('li', {}, 'You drive the hider and see only what its camera sees. The seeker is the other robot, in its own colour.'),
@@ -49,7 +49,7 @@ export function askCard(begin, leave, taken) {
       make('label.check', {}, consent, make('span', {}, 'store it with the recording'))),
     make('p.quiet', {}, 'Your moves are recorded as those of a human. Without the tick the recording has no name.'),
     taken ? make('p.trouble', {}, 'Somebody is playing at another page now. Wait until that game is over.') : null,
-    make('div.buttons', {}, make('button.primary', { type: 'submit', disabled: taken, autofocus: true }, 'Begin (Enter)'), button('Back to watching (Esc)', leave)));
+    make('div.buttons', {}, make('button.primary', { type: 'submit', disabled: taken }, 'Begin (Enter)'), button('Back to watching (Esc)', leave)));
 }
 
 export function countCard(session) {
@@ -78,7 +78,7 @@ export function outcomeCard(session, leave) {
   const [title, text] = trouble || !last ? ['The session goes on', trouble ? `The next game did not start: ${trouble}.` : 'The page was loaded again.'] : told(last);
   const list = session.games.map((game, i) => make('li', { 'data-outcome': game.discarded ? 'discarded' : game.outcome },
     `${i + 1}: ${game.discarded ? 'discarded' : game.outcome === 'undecided' ? 'no result' : `${game.outcome}, ${game.steps} steps`}`));
-  return make('div.card.outcome', { role: 'group', 'data-outcome': last?.outcome ?? '' },
+  return make('div.card.outcome', { role: 'group', tabindex: '-1', 'data-outcome': last?.outcome ?? '' },
     make('h2', { 'aria-live': 'assertive' }, title), make('p', {}, text),
     last?.discarded ? make('p.quiet', {}, 'This game is marked as discarded and is not used as data.') : null,
     list.length ? make('ul.games', { 'aria-label': 'Games of this session' }, ...list) : null,

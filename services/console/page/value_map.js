@@ -158,7 +158,7 @@ export class ValueMap {
     else if (found.goal === null) setText(this.line, 'The hider has no goal.');
     else {
       const checkpoints = Math.floor(found.horizon / found.checkpoint_interval);
-      setText(this.line, `Hider’s goal ${nameOf(found.goal)}: ${worthOf(found.goal)}, of ${checkpoints} (one every `
+      setText(this.line, `Hider’s goal ${nameOf(found.goal)}: ${worthOf(found.goal)}, of ${checkpoints} (every `
         + `${found.checkpoint_interval} steps). Planned at step ${found.step} in ${(found.elapsed * 1000).toFixed(0)} ms.`);
     }
   }
