@@ -29,7 +29,7 @@ class GameOutline:
         late: step -> robots that stayed because their command did not come in time.
         layout: the arena, None when the log lacks it.
         lost, malformed: messages of the game that are missing, or did not decode.
-        discarded: whether somebody took it back.
+        discarded: somebody said later (`control`) that the game is not to be used as data.
     """
 
     episode: Episode
@@ -55,6 +55,11 @@ class GameOutline:
 
     @property
     def complete(self) -> bool:
+        """Whether the game is data: whole, and not discarded."""
+        return self.whole and not self.discarded
+
+    @property
+    def whole(self) -> bool:
         """Whether the game ended by the rules and nothing of layout, poses, depth and colour pictures is missing."""
         if self.episode.phase != "ended" or self.layout is None or self.lost or self.malformed:
             return False
@@ -83,15 +88,14 @@ def outline(log: Log, progress: Progress = in_silence) -> list[GameOutline]:
     newest: dict[int, GameOutline] = {}
     early: dict[int, GameOutline] = {}
     first, last = time_span(log)
-    for count, record in enumerate(log.records((*EPISODE_TOPICS, "control"))):
+    for count, record in enumerate(log.records(EPISODE_TOPICS)):
         if count % 256 == 0:
             progress("reading", (record.log_time - first) / max(last - first, 1))
         try:
             message = record.decode()
         except MalformedMessage:
-            if record.key != "control":
-                for game in _under_way(games):
-                    game.malformed += 1
+            for game in _under_way(games):
+                game.malformed += 1
             continue
         if isinstance(message, Gap):
             if message.key in EPISODE_TOPICS:

@@ -1,0 +1,152 @@
+"""What a frame of our LeRobot data set holds, and how LeRobot, Hugging Face's `datasets` and Parquet name it."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+from schemas import PRIMITIVES, ROBOTS, STATE_IMAGE_SIZE
+
+CODEBASE_VERSION = "v3.0"
+TASK = "hide from the seeker"
+DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
+CHUNK_SIZE = 1000
+"""Files of a folder."""
+FILE_SIZE = 100
+"""MB after which a new file begins."""
+
+Feature = dict[str, Any]
+
+
+def features_of(sizes: dict[str, tuple[int, int]], views: bool) -> dict[str, Feature]:
+    """Return the features of a data set, by name, in the order of its columns.
+
+    Policies of LeRobot take everything below `observation.` and `action` as theirs; what the hider cannot know stands below
+    `privileged.`, which they leave alone.
+
+    Args:
+        sizes: robot -> height, width of its pictures.
+        views: whether state images are there.
+    """
+    features: dict[str, Feature] = {}
+    for robot in ROBOTS:
+        features[f"observation.images.{robot}_color"] = _picture(*sizes[robot])
+    for robot in ROBOTS if views else ():
+        features[f"observation.images.{robot}_view"] = _picture(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)
+    for robot in ROBOTS:
+        features[f"observation.depth.{robot}"] = {
+            "dtype": "uint16",
+            "shape": list(sizes[robot]),
+            "names": ["height", "width"],
+        }
+    pose = {"dtype": "float32", "shape": [3], "names": ["x", "y", "heading"]}
+    primitive = {"dtype": "float32", "shape": [len(PRIMITIVES)], "names": list(PRIMITIVES)}
+    features["observation.state"] = pose
+    features["action"] = primitive
+    features["privileged.seeker_state"] = pose
+    features["privileged.seeker_action"] = primitive
+    for name, kind in (("next.done", "bool"), ("next.success", "bool"), ("capture_time_ns", "int64"), ("timestamp", "float32")):
+        features[name] = {"dtype": kind, "shape": [1], "names": None}
+    for name in ("frame_index", "episode_index", "index", "task_index"):
+        features[name] = {"dtype": "int64", "shape": [1], "names": None}
+    return features
+
+
+def is_picture(feature: Feature) -> bool:
+    """Whether a feature is a PNG."""
+    return bool(feature["dtype"] == "image")
+
+
+def schema_of(arrow: Any, features: dict[str, Feature]) -> Any:
+    """Return the Arrow schema of the data files, with the types that `datasets` wants in its metadata.
+
+    Args:
+        arrow: the module pyarrow.
+    """
+    kinds = {
+        "float32": arrow.float32(),
+        "int64": arrow.int64(),
+        "bool": arrow.bool_(),
+        "uint16": arrow.uint16(),
+    }
+    columns, described = [], {}
+    for name, feature in features.items():
+        shape = feature["shape"]
+        if is_picture(feature):
+            columns.append((name, arrow.struct([("bytes", arrow.binary()), ("path", arrow.string())])))
+            described[name] = {"_type": "Image"}
+            continue
+        kind, value = kinds[feature["dtype"]], {"dtype": feature["dtype"], "_type": "Value"}
+        if shape == [1]:
+            columns.append((name, kind))
+            described[name] = value
+        elif len(shape) == 1:
+            columns.append((name, arrow.list_(kind, shape[0])))
+            described[name] = {"feature": value, "length": shape[0], "_type": "List"}
+        else:
+            columns.append((name, arrow.list_(arrow.list_(kind))))
+            described[name] = {"shape": shape, "dtype": feature["dtype"], "_type": "Array2D"}
+    return arrow.schema(columns, metadata={"huggingface": json.dumps({"info": {"features": described}})})
+
+
+def info_of(features: dict[str, Feature], fps: int, episodes: int, frames: int) -> dict[str, Any]:
+    """Return `meta/info.json`."""
+    return {
+        "codebase_version": CODEBASE_VERSION,
+        "robot_type": "vantage",
+        "total_episodes": episodes,
+        "total_frames": frames,
+        "total_tasks": 1,
+        "chunks_size": CHUNK_SIZE,
+        "data_files_size_in_mb": FILE_SIZE,
+        "video_files_size_in_mb": 200,
+        "fps": fps,
+        "splits": {"train": f"0:{episodes}"},
+        "data_path": DATA_PATH,
+        "video_path": None,
+        "features": features,
+    }
+
+
+def card(fps: int) -> str:
+    """Return `README.md`: what a reader of the data set must know."""
+    return f"""---
+task_categories:
+- robotics
+tags:
+- LeRobot
+configs:
+- config_name: default
+  data_files: data/*/*.parquet
+---
+
+Games of visual hide-and-seek of two robots on a table, exported from Vantage's logs: one episode a game, one frame a step.
+Games that were aborted, taken back or are incomplete in the log are not in it.
+
+| feature | |
+|---|---|
+| `observation.images.hider_color`, `..seeker_color` | first-person colour, PNG, lossless |
+| `observation.images.hider_view`, `..seeker_view` | state images in the colours of their palette, when the log has them |
+| `observation.depth.hider`, `..seeker` | uint16 [height, width], mm along the optical axis, 0 = no return; no PNG: see below |
+| `observation.state` | the hider's x, y (m) and heading (rad, counter-clockwise from +x) in the arena |
+| `action` | the hider's primitive of this step, one-hot: {", ".join(PRIMITIVES)}; one step is 10 mm or 10 degrees |
+| `privileged.seeker_state`, `privileged.seeker_action` | the same of the seeker. The hider knows neither, nor its pictures |
+| `next.done`, `next.success` | the step is the game's last; and the hider survived |
+| `timestamp`, `capture_time_ns` | capture of the hider's picture: s from the episode's first, and ns since the Unix epoch |
+
+Timestamps are those of the cameras, not multiples of 1/fps; `fps` = {fps} is their median rate. `LeRobotDataset` (v3) takes them
+as they are: it compares timestamps with fps only to decode videos, of which there are none, and finds the neighbours that
+`delta_timestamps` asks for by their number of frames. `meta/episodes` says of each episode which game it was: number, seed,
+outcome, who drove, the layout. Depth is an array of numbers because what a loader makes of a 16-bit PNG differs from version to
+version; it comes as integers.
+
+```python
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
+dataset = LeRobotDataset("vantage/hide-and-seek", root="this folder")
+```
+"""
+
+
+def _picture(height: int, width: int) -> Feature:
+    return {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]}
