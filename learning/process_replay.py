@@ -1,5 +1,7 @@
 """Process replay: a recorded log, fed to one service alone, must give the recorded outputs (after openpilot).
 
+The simulator is one of them: seed, rules and logged commands of a game, whoever gave them, make the same game again.
+
 Stamps of the clock and times taken differ from run to run and are left out of the comparison, nothing else. The clock itself is
 no input that a log could hold: where a core waits for a time, it is woken when the log says that it spoke.
 """
@@ -7,21 +9,28 @@ no input that a log could hold: where a core waits for a time, it is woken when 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Callable, Iterable, Iterator, Sequence
+import math
+from collections import Counter, deque
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
+from dataclasses import replace as with_changes
 from pathlib import Path
 
 from msgspec.structs import fields as fields_of
 from msgspec.structs import replace
 
-from schemas import MalformedMessage, Message, PredictReply, PredictRequest
+from schemas import DepthImage, Episode, MalformedMessage, Message, PredictReply, PredictRequest
 from services.planner.core import PlannerCore, PlannerSettings
 from services.referee.core import RefereeCore, RefereeSettings
-from services.seeker.core import SeekerCore
-from vantage.log.reader import Record, read
+from services.referee.declaration import DECLARATION as REFEREE
+from services.seeker.core import SeekerCore, SeekerSettings
+from services.simulator.core import SimulatorCore, SimulatorSettings
+from vantage.log.reader import Record, find_logs, open_log, read
 from vantage.service import SECOND, Answered, Arrived, Ask, Changed, Core, Publish, Received, Unexpected, Woken
+from vantage.world.camera import Camera
 
 CLOCK_FIELDS = ("stamp", "elapsed")
+MOST_DIFFERENCES = 5
 LATEST = 10 * SECOND
 """No message takes longer than this to the recorder."""
 
@@ -40,13 +49,79 @@ class Comparison:
     differences: list[str] = field(default_factory=list)
 
 
-def replayable() -> dict[str, Callable[[], Core]]:
+@dataclass(frozen=True)
+class Contents:
+    """What a log tells of the settings of the services that it was recorded with.
+
+    Attributes:
+        published: (key, publisher); the publisher is empty in a log that does not name them.
+        begun: the first set-up, where nobody asked for it on the log: the referee began by itself.
+        picture: the first depth picture.
+    """
+
+    published: frozenset[tuple[str, str]]
+    begun: Episode | None = None
+    picture: DepthImage | None = None
+
+    def has(self, key: str, service: str) -> bool:
+        """Whether a service said something on a key."""
+        return (key, service) in self.published or (key, "") in self.published
+
+
+def contents_of(path: Path) -> Contents:
+    """Return what a log, or the logs in a folder, tell of the services.
+
+    Raises:
+        FileNotFoundError: there is no log.
+    """
+    published = set()
+    first: dict[str, Message] = {}
+    for parts in find_logs(path):
+        with open_log(*parts) as log:
+            channels = [channel for file in log.files for channel in file.channels.values()]
+            published |= {(channel.topic, channel.metadata.get("publisher", "")) for channel in channels}
+            for topics in (("control", "episode"), ("hider/depth",)):
+                for record in log.records(topics):
+                    if record.well_formed:
+                        first.setdefault(topics[0], record.decode())
+                        break
+    begun, picture = first.get("control"), first.get("hider/depth")
+    return Contents(
+        frozenset(published),
+        begun if isinstance(begun, Episode) and begun.phase == "setup" else None,
+        picture if isinstance(picture, DepthImage) else None,
+    )
+
+
+def replayable() -> dict[str, Callable[[Contents], Core]]:
     """Return the services whose outputs follow from the log alone."""
-    return {
-        "seeker": SeekerCore,
-        "planner": lambda: PlannerCore(PlannerSettings()),
-        "referee": lambda: RefereeCore(RefereeSettings(settle=0.0)),
-    }
+    return {"seeker": _seeker, "planner": lambda _: PlannerCore(PlannerSettings()), "referee": _referee, "simulator": _simulator}
+
+
+def _seeker(contents: Contents) -> Core:
+    return SeekerCore(SeekerSettings(publish_view=contents.has("seeker/view", "seeker")))
+
+
+def _referee(contents: Contents) -> Core:
+    # Where nobody wrote down that the console was alive, the games themselves say so.
+    others = () if contents.has("health/console", "console") else ("console", "hider")
+    settings = RefereeSettings(settle=0.0, required=(*REFEREE.heeds, *others))
+    begun = contents.begun
+    if begun is None:
+        return RefereeCore(settings)
+    settings = with_changes(settings, autoplay=True, seed=begun.seed, first_episode=begun.episode)
+    return RefereeCore(with_changes(settings, rules=begun.rules, players=begun.players))
+
+
+def _simulator(contents: Contents) -> Core:
+    picture = contents.picture
+    if picture is None:
+        return SimulatorCore()
+    lens = picture.intrinsics
+    camera = Camera(picture.width, picture.height, mount_height=lens.mount_height)
+    if camera.intrinsics() != lens:
+        camera = with_changes(camera, horizontal_fov=2.0 * math.atan(picture.width / (2.0 * lens.fx)))
+    return SimulatorCore(SimulatorSettings(camera))
 
 
 def without_clock(message: Message) -> Message:
@@ -66,9 +141,13 @@ class ProcessReplay:
         self._inputs = frozenset(core.declaration.inputs)
         self._asked: list[tuple[Ask, Message]] = []
         self._answers: list[tuple[Message, Message]] = []
-        self._request: Message | None = None
-        self.said: dict[str, list[Message]] = {key: [] for key in core.declaration.outputs if not key.startswith("health/")}
-        self.recorded: dict[str, list[Message]] = {key: [] for key in self.said}
+        self._requests: list[PredictRequest] = []
+        self._outputs = [key for key in core.declaration.outputs if not key.startswith("health/")]
+        self._comparisons = {key: Comparison(key) for key in self._outputs}
+        self._said: Counter[str] = Counter()
+        self._recorded: Counter[str] = Counter()
+        # (is it recorded, message) that the other side has not said yet; pictures are not kept longer than that.
+        self._waiting: dict[str, deque[tuple[bool, Message]]] = {key: deque() for key in self._outputs}
         for service in (name for names in core.declaration.heeds for name in names.split("|")):
             self._step(Changed(service, True), 0)
 
@@ -79,21 +158,21 @@ class ProcessReplay:
         except MalformedMessage:
             return
         now = record.publish_time
-        if record.key in self.recorded:
-            self.recorded[record.key].append(message)
+        if record.key in self._waiting and record.publisher in (self._core.declaration.name, ""):
+            self._recorded[record.key] += 1
             self._wake_until_said(record.key, now)
+            self._compare(record.key, message, is_recorded=True)
         if isinstance(message, PredictRequest):
-            self._request = without_clock(message)
-        elif isinstance(message, PredictReply) and self._request is not None:
-            self._answers.append((self._request, message))
-            self._answer(now)
+            self._requests.append(message)
+        elif isinstance(message, PredictReply):
+            self._pair(message, now)
         if record.key in self._inputs:
             self._step(Arrived(record.key, message), now)
 
     def _wake_until_said(self, key: str, now: int) -> None:
         for _ in range(4):
             wake = self._core.wake_at()
-            if wake is None or len(self.said[key]) >= len(self.recorded[key]):
+            if wake is None or self._said[key] >= self._recorded[key]:
                 return
             self._step(Woken(), max(wake, now))
 
@@ -103,11 +182,23 @@ class ProcessReplay:
         except Unexpected:
             return
         for send in sends:
-            if isinstance(send, Publish) and send.key in self.said:
-                self.said[send.key].append(send.message)
+            if isinstance(send, Publish) and send.key in self._waiting:
+                self._said[send.key] += 1
+                self._compare(send.key, send.message, is_recorded=False)
             elif isinstance(send, Ask):
                 self._asked.append((send, without_clock(send.request)))
                 self._answer(now)
+
+    def _pair(self, reply: PredictReply, now: int) -> None:
+        """Several may ask at once: a reply belongs to the request of its place and size."""
+        for request in self._requests:
+            size = 4 * request.path_count * len(request.horizons)
+            asked = (request.stamp, request.episode, request.step, size, len(request.views))
+            if asked == (reply.stamp, reply.episode, reply.step, len(reply.caught), len(reply.views)):
+                self._requests.remove(request)
+                self._answers.append((without_clock(request), reply))
+                self._answer(now)
+                return
 
     def _answer(self, now: int) -> None:
         for ask, request in list(self._asked):
@@ -118,22 +209,30 @@ class ProcessReplay:
                     self._step(Answered(ask.key, ask.token, reply), now)
                     break
 
+    def _compare(self, key: str, message: Message, *, is_recorded: bool) -> None:
+        """Compare with what the other side said, or keep until it does."""
+        waiting = self._waiting[key]
+        if not waiting or waiting[0][0] == is_recorded:
+            waiting.append((is_recorded, message))
+            return
+        _, other = waiting.popleft()
+        new, old = (other, message) if is_recorded else (message, other)
+        comparison = self._comparisons[key]
+        place = f"message {comparison.compared} (episode {old.episode}, step {old.step})"
+        comparison.compared += 1
+        new, old = without_clock(new), without_clock(old)
+        if new != old and len(comparison.differences) < MOST_DIFFERENCES:
+            names = [entry.name for entry in fields_of(old) if getattr(old, entry.name) != getattr(new, entry.name, None)]
+            comparison.differences.append(f"{place} differs in {', '.join(names)}")
+
     def compare(self) -> list[Comparison]:
         """Return how every output compares, after the whole log has been fed."""
-        return [_compare(key, self.said[key], self.recorded[key]) for key in self.said]
-
-
-def _compare(key: str, said: Sequence[Message], recorded: Sequence[Message]) -> Comparison:
-    comparison = Comparison(key, max(len(said), len(recorded)))
-    if len(said) != len(recorded):
-        comparison.differences.append(f"{len(recorded)} messages recorded, {len(said)} said again")
-    for index, (new, old) in enumerate(zip(said, recorded, strict=False)):
-        new, old = without_clock(new), without_clock(old)
-        if new != old and len(comparison.differences) < 5:
-            names = [entry.name for entry in fields_of(old) if getattr(old, entry.name) != getattr(new, entry.name, None)]
-            place = f"message {index} (episode {old.episode}, step {old.step})"
-            comparison.differences.append(f"{place} differs in {', '.join(names)}")
-    return comparison
+        for key, comparison in self._comparisons.items():
+            recorded, said = self._recorded[key], self._said[key]
+            if recorded != said:
+                comparison.compared = max(recorded, said)
+                comparison.differences.insert(0, f"{recorded} messages recorded, {said} said again")
+        return list(self._comparisons.values())
 
 
 def in_order_of_publishing(records: Iterable[Record]) -> Iterator[Record]:
@@ -148,12 +247,21 @@ def in_order_of_publishing(records: Iterable[Record]) -> Iterator[Record]:
 
 
 def replay_service(path: Path, service: str) -> list[Comparison]:
-    """Replay a log through one service.
+    """Replay a log through one service; nothing where the log holds nothing that it said (`why_silent`).
 
     Raises:
         KeyError: the service cannot be replayed.
     """
-    replay = ProcessReplay(replayable()[service]())
+    contents = contents_of(path)
+    core = replayable()[service](contents)
+    if not any(contents.has(key, service) for key in core.declaration.outputs if not key.startswith("health/")):
+        return []
+    replay = ProcessReplay(core)
     for record in in_order_of_publishing(read(path)):
         replay.feed(record)
     return replay.compare()
+
+
+def why_silent(path: Path, service: str) -> str:
+    """Return, for people, why a log holds nothing that a service said in a game."""
+    return "no game of its own" if contents_of(path).has(f"health/{service}", service) else "not recorded with"
