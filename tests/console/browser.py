@@ -1,0 +1,121 @@
+"""A real Chromium, and one page of the console in it that notes everything it should not have done."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import urlsplit
+
+from playwright.sync_api import Browser, Page, sync_playwright
+
+NOTE_VIOLATIONS = """
+window.violations = [];
+document.addEventListener('securitypolicyviolation', ({ violatedDirective, blockedURI }) => {
+  window.violations.push(`${violatedDirective} ${blockedURI}`);
+});
+"""
+
+
+@contextmanager
+def chromium() -> Iterator[Browser]:
+    """Run a browser without a window. Fails where none is installed: `make setup` does that."""
+    path = shutil.which("chromium")
+    assert path is not None, "the tests of the page need `chromium` on the path: apt-get install chromium"
+    with sync_playwright() as playwright:
+        # Without a sandbox: the tests also run as root, in containers.
+        browser = playwright.chromium.launch(executable_path=path, args=["--no-sandbox"])
+        yield browser
+        browser.close()
+
+
+def address_of(folder: Path, timeout: float = 20.0) -> str:
+    """Return the address that the console of a deployment has written into its folder."""
+    place = folder / "console.address"
+    wait_until(lambda: place.is_file() and bool(place.read_text().strip()), timeout, "the console's address")
+    return place.read_text().strip()
+
+
+def wait_until(so: Callable[[], object], timeout: float, what: str) -> None:
+    """Ask again and again until something is so; fails after `timeout` seconds."""
+    deadline = time.monotonic() + timeout
+    while not so():
+        assert time.monotonic() < deadline, f"{what}: not within {timeout:g} s"
+        time.sleep(0.02)
+
+
+class ConsolePage:
+    """One page. `close` fails if it logged an error, broke its own security policy or asked another host for something."""
+
+    def __init__(
+        self, browser: Browser, address: str, width: int = 1440, height: int = 900, theme: Literal["dark", "light"] = "dark"
+    ) -> None:
+        context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme, reduced_motion="reduce")
+        context.add_init_script(NOTE_VIOLATIONS)
+        self.page: Page = context.new_page()
+        self.address = address
+        self.errors: list[str] = []
+        self.hosts: set[str] = set()
+        self.offline = False  # on purpose: then a failed connection is no error
+        self.page.on("console", lambda message: self._note(message.text) if message.type in ("error", "warning") else None)
+        self.page.on("pageerror", lambda error: self.errors.append(str(error)))
+        self.page.on("request", lambda request: self.hosts.add(urlsplit(request.url).netloc))
+        self.page.on("websocket", lambda socket: self.hosts.add(urlsplit(socket.url).netloc))
+        self.open()
+
+    def _note(self, text: str) -> None:
+        if not (self.offline and "WebSocket connection" in text):
+            self.errors.append(text)
+
+    def open(self) -> None:
+        self.page.goto(self.address)
+        self.until("vantage.state.connected && vantage.state.frames.welcome && vantage.state.frames.services")
+
+    def get(self, expression: str) -> Any:
+        """Evaluate JavaScript: past the page's security policy, which forbids it strings of code."""
+        return self.page.evaluate(f"() => {expression}")
+
+    def until(self, expression: str, timeout: float = 15.0) -> None:
+        """Wait until something is so on the page."""
+        wait_until(lambda: self.get(f"Boolean({expression})"), timeout, expression)
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            self.page.keyboard.press(key)
+
+    def text(self, selector: str) -> str:
+        return self.page.locator(selector).first.inner_text()
+
+    def idle(self) -> None:
+        """End whatever is played, and be in the mode that watches."""
+        if self.get("vantage.state.mode") == "play":
+            self.page.once("dialog", lambda dialog: dialog.accept())
+            self.press("Escape")
+            self.until("vantage.state.mode === 'watch' && vantage.state.connected && vantage.state.frames.services")
+        if self.get("['setup', 'running'].includes(vantage.state.frames.episode?.header.phase)"):
+            self.press("x")
+            self.until("!['setup', 'running'].includes(vantage.state.frames.episode.header.phase)")
+
+    def begin_human_game(self, games: int = 1, steps: int = 30, period: float = 0.1, seed: int = 3, name: str = "") -> None:
+        """Enter play mode with the keyboard, fill the form in, and play through the count-down."""
+        self.press("h")
+        for label, value in (("games", games), ("steps to survive", steps), ("step [s]", period), ("seed", seed)):
+            self.page.locator(".ask").get_by_label(label, exact=True).fill(str(value))
+        self.page.get_by_label("name or pseudonym").fill(name or "not to be stored")
+        self.page.get_by_label("store it with the recording").set_checked(bool(name))
+        self.page.locator(".ask button.primary").click()
+        self.until("vantage.state.play?.phase === 'count'")
+        self.wait_for_game()
+
+    def wait_for_game(self) -> None:
+        self.until("vantage.state.play?.phase === 'game' && vantage.state.frames.episode.header.phase === 'running'")
+
+    def close(self) -> None:
+        violations = self.get("window.violations")
+        self.page.context.close()
+        assert not violations
+        assert not self.errors
+        assert self.hosts == {urlsplit(self.address).netloc}

@@ -1,0 +1,204 @@
+"""Somebody watches: a first visit, a live game, predictions by mouse and keyboard, reloads, restarts, stale pictures."""
+
+from __future__ import annotations
+
+import os
+import signal
+from collections.abc import Callable
+
+import pytest
+
+from tests.console.browser import ConsolePage, wait_until
+from tests.stack.table import Table
+
+RUNNING = "vantage.state.frames.episode?.header.phase === 'running'"
+
+
+def watch_a_game(page: ConsolePage) -> None:
+    page.press("g")
+    page.until(f"{RUNNING} && vantage.state.frames['hider/plan']?.header.predictable")
+
+
+def test_a_first_visit_says_what_this_is_and_offers_both_ways(page: ConsolePage) -> None:
+    invitation = page.page.locator(".invitation")
+    assert "hide-and-seek" in invitation.inner_text()
+    assert invitation.get_by_role("button").all_inner_texts() == ["Watch a game", "Play the hider"]
+    assert page.page.locator(".view .empty:visible").count() == 6, "empty pictures say what they wait for"
+    invitation.get_by_role("button", name="Watch a game").click()
+    page.until(RUNNING)
+    assert invitation.is_hidden()
+
+
+def test_every_panel_has_a_title_and_an_explanation_and_every_field_a_label(page: ConsolePage) -> None:
+    for panel in page.page.locator(".panel").all():
+        assert panel.locator("h2").inner_text().strip()
+        assert panel.locator(".explanation").inner_text().strip()
+    unnamed = page.get("[...document.querySelectorAll('input, select')].filter((e) => !e.labels.length && !e.ariaLabel).length")
+    assert unnamed == 0
+
+
+def test_a_live_game_is_seen_whole(page: ConsolePage) -> None:
+    watch_a_game(page)
+    keys = [f"{robot}/{part}" for robot in ("hider", "seeker") for part in ("pose", "color", "depth", "view")]
+    page.until(f"{keys}.every((key) => vantage.state.frames[key]) && vantage.state.frames.layout")
+    page.until("[...document.querySelectorAll('.view canvas')].every((canvas) => !canvas.hidden && canvas.width > 100)")
+    page.until("vantage.state.paths.hider.length > 8")
+    canvas = "document.querySelector('.view canvas')"
+    colors = page.get(f"new Set(new Uint32Array({canvas}.getContext('2d').getImageData(0, 0, 160, 120).data.buffer)).size")
+    assert colors > 50, "the hider's colour picture is drawn"
+    assert page.get("vantage.painted.some(([key, stamp, at]) => key === 'hider/color' && /^\\d{19}$/.test(stamp) && at > 1e12)")
+    assert "running" in page.text(".chip")
+    assert page.page.locator(".health tbody tr").count() == len(page.get("vantage.state.frames.services.header.services"))
+
+
+def test_the_row_of_predictions_fills_itself_and_the_truth_comes_under_it(page: ConsolePage) -> None:
+    watch_a_game(page)
+    page.until("vantage.state.frames.prediction?.header.steps.length > 0")
+    page.until(
+        "document.querySelectorAll('.prediction:not(.blank)').length === vantage.state.frames.prediction.header.steps.length"
+    )
+    assert page.page.locator(".percent").first.inner_text().endswith("%")
+    # At the first predicted step the true view takes the place of "in n steps".
+    page.until("document.querySelector('.actual span').hidden", timeout=20)
+    first = page.get("vantage.state.frames.prediction.header.steps[0]")
+    assert page.get(f"vantage.state.past.get({first}).length") == 128 * 128
+
+
+def test_a_goal_that_is_clicked_gets_its_predicted_views(page: ConsolePage) -> None:
+    watch_a_game(page)
+    page.until("vantage.state.frames.prediction")
+    own = page.get("vantage.state.frames['hider/plan'].header.goal")
+    box = page.page.locator(".stage").bounding_box()
+    assert box is not None
+    line = page.page.locator(".arena .facts")
+
+    def find_another_goal() -> tuple[float, float]:
+        for x in range(60, int(box["width"]), 18):
+            for y in range(20, int(box["height"]), 18):
+                page.page.mouse.move(box["x"] + x, box["y"] + y)
+                if line.inner_text().startswith("Goal") and "checkpoints caught" in line.inner_text():
+                    return box["x"] + x, box["y"] + y
+        raise AssertionError("no open goal under the mouse")
+
+    page.page.mouse.click(*find_another_goal())
+    page.until(f"vantage.state.goal !== null && vantage.state.goal !== {own}")
+    page.until("vantage.state.frames.prediction.header.goal === vantage.state.goal")
+    assert "your goal" in page.text(".predictions .facts")
+    painted = "document.querySelector('.prediction canvas').getContext('2d').getImageData(0, 0, 128, 128).data"
+    assert page.get(f"{painted}.some((value, i) => i % 4 < 3 && value > 0)")
+
+
+def test_goals_are_chosen_with_the_keyboard(page: ConsolePage) -> None:
+    watch_a_game(page)
+    page.press("m")
+    values = page.get("vantage.state.frames['hider/plan'].header.values")
+    goal = 60  # where the keyboard begins
+    while True:
+        page.press("ArrowUp")
+        goal += 11
+        if goal >= 121 or values[goal] is not None:
+            break
+    assert goal < 121, "the layout leaves a goal open above the middle"
+    page.press("Enter")
+    page.until(f"vantage.state.frames.prediction?.header.goal === {goal}")
+
+
+def test_a_reload_in_mid_game_shows_the_game_as_it_was(page: ConsolePage) -> None:
+    watch_a_game(page)
+    page.until("vantage.state.paths.hider.length > 6")
+    before = page.get("vantage.state.frames.episode.header.episode")
+    page.page.reload()
+    page.until(f"{RUNNING} && vantage.state.frames['hider/plan'] && vantage.state.paths.hider.length > 6")
+    assert page.get("vantage.state.frames.episode.header.episode") == before
+    assert page.get("vantage.state.paths.hider[0][0]") == 0, "from the start of the game"
+
+
+def test_a_second_page_sees_the_same(page: ConsolePage, open_page: Callable[..., ConsolePage]) -> None:
+    watch_a_game(page)
+    page.until("vantage.state.paths.hider.length > 6")
+    other = open_page(width=1920, height=1080, theme="light")
+    other.until(f"{RUNNING} && vantage.state.frames['hider/plan'] && vantage.state.paths.hider[0]?.[0] === 0")
+
+
+def test_pause_holds_the_clock_and_nothing_is_called_stale(page: ConsolePage) -> None:
+    watch_a_game(page)
+    page.press(" ")
+    page.until("vantage.state.frames.episode.header.paused")
+    assert "paused" in page.text(".chip")
+    page.press(" ")
+    page.until("!vantage.state.frames.episode.header.paused")
+    step = page.get("vantage.state.frames.tick?.header.step ?? 0")
+    page.until(f"vantage.state.frames.tick?.header.step > {step}")
+
+
+def test_when_the_console_is_restarted_the_page_says_so_and_comes_back(page: ConsolePage, table: Table) -> None:
+    watch_a_game(page)
+    before = page.get("vantage.state.frames.episode.header.episode")
+    page.offline = True
+    pid = table.pid_of("console")
+    os.kill(pid, signal.SIGKILL)
+    page.until("!vantage.state.connected && !document.getElementById('banner').hidden", timeout=5)
+    assert "No connection to the console" in page.text("#banner")
+    page.until(f"vantage.state.connected && vantage.state.frames.episode?.header.episode === {before}", timeout=20)
+    page.until("document.getElementById('banner').hidden")
+    wait_until(lambda: table.pid_of("console") not in (0, pid), 10, "another console")
+    page.offline = False
+
+
+def test_pictures_that_do_not_come_are_dimmed_and_say_how_old_they_are(page: ConsolePage, table: Table) -> None:
+    watch_a_game(page)
+    page.until("vantage.state.frames['hider/color']")
+    pid = table.pid_of("simulator")
+    os.kill(pid, signal.SIGSTOP)
+    try:
+        page.until("document.querySelectorAll('.view.stale').length >= 4", timeout=8)
+        assert "s old" in page.text(".view.stale .age")
+    finally:
+        os.kill(pid, signal.SIGCONT)
+    page.until("document.querySelectorAll('.view.stale').length === 0")
+
+
+def test_help_is_a_key_away_and_the_theme_is_kept(page: ConsolePage) -> None:
+    page.press("?")
+    assert page.page.locator("dialog").is_visible()
+    page.press("Escape")
+    assert page.page.locator("dialog").is_hidden()
+    assert page.get("document.documentElement.dataset.theme") == "dark"
+    page.press("t")
+    assert page.get("document.documentElement.dataset.theme") == "light"
+    page.page.reload()
+    page.until("vantage.state.frames.welcome")
+    assert page.get("document.documentElement.dataset.theme") == "light"
+
+
+OVERLAPS = """(() => {
+  const boxes = [...document.querySelectorAll('.panel, #header, #footer > *')].filter((e) => e.offsetParent)
+    .map((e) => [e.className || e.id, e.getBoundingClientRect()]);
+  const found = [];
+  boxes.forEach(([a, p], i) => boxes.slice(i + 1).forEach(([b, q]) => {
+    const apart = p.left >= q.right - 1 || q.left >= p.right - 1 || p.top >= q.bottom - 1 || q.top >= p.bottom - 1;
+    if (!apart) found.push(`${a} over ${b}`);
+  }));
+  return found;
+})()"""
+CUT = """[...document.querySelectorAll('h2, h3, button, .field, .fact, .caption, .chip, .legend li, figcaption, .classes li')]
+  .filter((e) => e.offsetParent && (e.scrollWidth > e.clientWidth + 1) && getComputedStyle(e).display !== 'inline')
+  .map((e) => e.textContent)"""
+
+
+@pytest.mark.parametrize(("width", "height"), [(1440, 900), (1920, 1080)])
+def test_nothing_overlaps_is_cut_or_needs_scrolling(open_page: Callable[..., ConsolePage], width: int, height: int) -> None:
+    page = open_page(width=width, height=height)
+    watch_a_game(page)
+    page.until("document.querySelectorAll('.prediction:not(.blank)').length")
+    assert page.get("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == [width, height]
+    assert page.get(OVERLAPS) == []
+    assert page.get(CUT) == []
+    assert page.get("[...document.querySelectorAll('.panel')].filter((e) => e.scrollHeight > e.clientHeight + 1).length") == 0
+
+
+def test_a_small_screen_scrolls_down_only(open_page: Callable[..., ConsolePage]) -> None:
+    page = open_page(width=1024, height=768)
+    watch_a_game(page)
+    assert page.get("document.documentElement.scrollWidth") == 1024
+    assert page.get(OVERLAPS) == []
