@@ -32,6 +32,7 @@ COMMANDS = (
     Command("down", "vantage.commands:down", "stop a deployment"),
     Command("check", "vantage.commands:check", "look at deployments without starting them"),
     Command("play", "vantage.play:main", "play games on a running deployment"),
+    Command("replay", "vantage.replay.command:main", "play a recorded log on the bus, for the console and any service"),
     Command("gather", "learning.gather:main", "make one whole training set: games, conversion, exact split sizes"),
     Command("collect", "learning.collect:main", "simulate games in parallel into MCAP logs"),
     Command("convert", "learning.convert:main", "turn logs into a training set"),

@@ -32,6 +32,8 @@ _MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<QQQII")
 _TIME = struct.Struct("<Q")
 _LARGEST_CHUNK = 1 << 32
+_BARE_CHUNK = 1 << 20
+"""Bytes of an unchunked file that are read together."""
 
 
 @dataclass(slots=True)
@@ -111,7 +113,7 @@ class LogFile:
             if following > self._size:
                 break
             if opcode == Opcode.MESSAGE:
-                if bare is None:
+                if bare is None or bare.length >= _BARE_CHUNK:
                     bare = Chunk(2**64 - 1, 0, position, 0, 0, 0, None)
                     self.chunks.append(bare)
                 time = _TIME.unpack_from(view, body + 6)[0] if length >= 22 else 0
@@ -186,18 +188,22 @@ class LogFile:
             self._note(f"damaged chunk at byte {chunk.offset}: {error}")
             return []
 
-    def messages(self, wanted: Callable[[Channel], bool]) -> Iterator[RawMessage]:
-        """Yield the messages of the wanted channels in order of their log times; what is damaged is noted in `breaks`."""
+    def messages(self, wanted: Callable[[Channel], bool], after: int = -1) -> Iterator[RawMessage]:
+        """Yield the messages of the wanted channels in order of their log times; what is damaged is noted in `breaks`.
+
+        Args:
+            after: only what was recorded later, ns; chunks that end before are not even decompressed.
+        """
         self._learn_channels()
         ids = {id for id, channel in self.channels.items() if wanted(channel)}
         waiting: list[RawMessage] = []
-        for chunk in sorted(self.chunks, key=lambda chunk: chunk.start):
+        for chunk in sorted((chunk for chunk in self.chunks if chunk.end > after), key=lambda chunk: chunk.start):
             held = chunk.channels
             if held is not None and held.isdisjoint(ids):
                 continue
             found = self.messages_of(chunk)
-            if held is None or not held <= ids:
-                found = [message for message in found if message[0] in ids]
+            if held is None or not held <= ids or chunk.start <= after:
+                found = [message for message in found if message[0] in ids and message[2] > after]
             if waiting:
                 # Chunks come sorted by their first message, so nothing before this one's start is still to come.
                 waiting.sort(key=_log_time)

@@ -82,8 +82,8 @@ class Log:
                 total[name] = total.get(name, 0) + int(count)
         return total
 
-    def records(self, topics: Collection[str] | None = None, viewer: bool = False) -> Iterator[Record]:
-        """Yield the messages in order, over all parts; see `read`."""
+    def records(self, topics: Collection[str] | None = None, viewer: bool = False, after: int = -1) -> Iterator[Record]:
+        """Yield the messages in order, over all parts; see `read`. With `after` (ns), only those recorded later."""
 
         def is_wanted(channel: Channel) -> bool:
             named = topics is None or channel.topic in topics
@@ -95,7 +95,7 @@ class Log:
         for file in self.files:
             chosen = is_wanted if file is self.files[0] else is_wanted_and_new
             names: dict[int, tuple[str, str, bool]] = {}
-            for id, sequence, log_time, publish_time, payload in file.messages(chosen):
+            for id, sequence, log_time, publish_time, payload in file.messages(chosen, after):
                 name = names.get(id)
                 if name is None:
                     channel = file.channels[id]
