@@ -275,9 +275,7 @@ class _Writer:
         (meta / "info.json").write_text(json.dumps(info, indent=4))
         (meta / "stats.json").write_text(json.dumps(self._total.as_lists(), indent=1))
         (self._folder / "README.md").write_text(form.card(fps))
-        table = self._arrow.table({"task_index": self._arrow.array([0]), "task": self._arrow.array([form.TASK])})
-        index = {"index_columns": ["task"], "column_indexes": [], "columns": [], "pandas_version": "2.0.0"}
-        self._parquet.write_table(table.replace_schema_metadata({"pandas": json.dumps(index)}), meta / "tasks.parquet")
+        self._parquet.write_table(form.tasks_table(self._arrow), meta / "tasks.parquet")
         path = self._folder / form.EPISODES_PATH.format(chunk_index=0, file_index=0)
         path.parent.mkdir(parents=True, exist_ok=True)
         self._parquet.write_table(self._arrow.Table.from_pylist(self._entries), path)

@@ -90,6 +90,18 @@ def schema_of(arrow: Any, features: dict[str, Feature]) -> Any:
     return arrow.schema(columns, metadata={"huggingface": json.dumps({"info": {"features": described}})})
 
 
+def tasks_table(arrow: Any) -> Any:
+    """Return `meta/tasks.parquet`: the number of each task, with its text as pandas' index, as LeRobot reads it."""
+    text = "__index_level_0__"
+    columns = [
+        {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64", "metadata": None},
+        {"name": None, "field_name": text, "pandas_type": "unicode", "numpy_type": "object", "metadata": None},
+    ]
+    pandas = {"index_columns": [text], "column_indexes": [], "columns": columns, "pandas_version": "2.0.0"}
+    table = arrow.table({"task_index": arrow.array([0], arrow.int64()), text: arrow.array([TASK])})
+    return table.replace_schema_metadata({"pandas": json.dumps(pandas)})
+
+
 def info_of(features: dict[str, Feature], fps: int, episodes: int, frames: int) -> dict[str, Any]:
     """Return `meta/info.json`."""
     return {
