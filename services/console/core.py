@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from schemas import Control, Episode, Gap, Health, Message, Plan, Playback, PredictRequest, StateImage
+from schemas import Control, Episode, Gap, Health, Message, Plan, Playback, Pose, PredictRequest, StateImage
 from services.console import requests, wishes
 from services.console.declaration import DECLARATION
+from services.console.driven import Driven
 from services.console.events import PAGE, PageEvent, Refusals
 from services.console.frames import ALL, addressed, frame, frame_of, notice
 from services.console.human import HEARD, HUMAN, Complete, HumanHider, answer
@@ -56,6 +57,7 @@ class ConsoleCore:
         self._grace_until: int | None = None
         self._pause_asked = False
         self._past = PastViews()
+        self._driven_paths = Driven()
         self._predictions.forget()
         self._score = Score()
         self._session = Session()
@@ -120,6 +122,8 @@ class ConsoleCore:
             sends += self._on_episode(message, now)
         elif isinstance(message, Plan):
             self._predictions.see_plan(message)
+        elif isinstance(message, Pose):
+            self._driven_paths.add(key.partition("/")[0], message)
         elif isinstance(message, StateImage) and key == "seeker/view":
             self._past.add(message)
         sends += self._show(key)
@@ -246,6 +250,8 @@ class ConsoleCore:
         first = [key for key in ("episode", "playback") if key in self._latest]
         frames = [frame("welcome", {"client": client, **self._about})]
         frames += [self._frame_of(key) for key in (*first, *(key for key in self._latest if key not in first))]
+        if (paths := self._driven_paths.frame()) is not None:
+            frames.append(paths)
         # What is stale goes to every page after this.
         frames += [make(now) for key, make in self._own.items() if key not in self._stale]
         return [_to(client, data) for data in frames]

@@ -20,6 +20,8 @@ UNREAD_LIMIT = 8 * 1024 * 1024
 """Bytes that may wait for a client that does not read (answers to its pings)."""
 BYTES_A_SECOND = 64 * 1024
 """What a page may send."""
+REQUEST_LIMIT = 16 * 1024
+"""Bytes of an HTTP request, head and body."""
 FRAGMENTS_LIMIT = 16
 
 Count = Callable[[str], None]
@@ -30,6 +32,11 @@ def protocols(count: Count) -> tuple[type[asyncio.Protocol], type[asyncio.Protoc
 
     class Http(H11Protocol):
         _patience: asyncio.TimerHandle | None = None
+        _received = 0
+
+        def __init__(self, *arguments: Any, **named: Any) -> None:
+            super().__init__(*arguments, **named)
+            self.opened = self.loop.time()
 
         def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
             super().connection_made(transport)
@@ -39,6 +46,15 @@ def protocols(count: Count) -> tuple[type[asyncio.Protocol], type[asyncio.Protoc
             if len(self.connections) > CONNECTIONS_LIMIT:
                 self._make_room()
             self._patience = self.loop.call_later(HANDSHAKE_PATIENCE, self._lose_patience)
+
+        def data_received(self, data: bytes) -> None:
+            # h11 limits only a head that comes in pieces.
+            self._received += len(data)
+            if self._received > REQUEST_LIMIT:
+                count("huge request")
+                self.transport.abort()
+                return
+            super().data_received(data)
 
         def connection_lost(self, exc: Exception | None) -> None:
             self._calm()
@@ -50,6 +66,7 @@ def protocols(count: Count) -> tuple[type[asyncio.Protocol], type[asyncio.Protoc
 
         def on_response_complete(self) -> None:
             self._calm()
+            self._received = 0
             super().on_response_complete()
             if not self.transport.is_closing():
                 # The next request on this connection has its own time to come, beyond the pause that is allowed before it.
@@ -75,10 +92,6 @@ def protocols(count: Count) -> tuple[type[asyncio.Protocol], type[asyncio.Protoc
             # abort tells connection_lost only in the loop's next turn: the place is free from now on.
             self.connections.discard(oldest)
             oldest.transport.abort()
-
-        def __init__(self, *arguments: Any, **named: Any) -> None:
-            super().__init__(*arguments, **named)
-            self.opened = self.loop.time()
 
     class WebSocket(WebSocketsSansIOProtocol):
         _budget = float(BYTES_A_SECOND)

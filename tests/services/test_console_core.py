@@ -11,6 +11,7 @@ from msgspec.structs import replace
 
 from schemas import (
     GOAL_COUNT,
+    ROBOTS,
     TOPICS,
     Control,
     Episode,
@@ -137,7 +138,11 @@ def test_who_comes_late_sees_the_present_at_once_and_welcome_first(table: Table)
     keys = [header["key"] for header, _ in seen]
     assert len(keys) == len(set(keys))
     expected = {header["key"]: (header, payload) for header, payload in table.pages.seen[1] if header["key"] != "notice"}
-    assert set(keys) == set(expected) | {"recording", "services", "score", "session"}
+    assert set(keys) == set(expected) | {"recording", "services", "score", "session", "driven"}
+    driven = table.header("driven", late)
+    for robot in ROBOTS:
+        poses = table.of(f"{robot}/pose")
+        assert driven[robot] == [[pose.step, round(pose.x, 4), round(pose.y, 4)] for pose in poses]
     for header, payload in seen:
         if "stamp" in header:
             assert (header, payload) == expected[header["key"]]
@@ -609,4 +614,4 @@ def test_absurd_messages_break_nothing(table: Table, seed: int) -> None:
     assert len(taken) > len(core.declaration.inputs) // 2
     late = ConsoleCore({})
     late.step(Arrived("hider/pose", Pose(stamp=1, x=0.1, y=0.1, heading=0.0)), 1)
-    assert len(late.step(Captured(PAGE, PageEvent(1), 1), 1)) == 6  # welcome, pose, and what the console itself knows
+    assert len(late.step(Captured(PAGE, PageEvent(1), 1), 1)) == 7  # welcome, pose, and what the console itself knows
