@@ -34,12 +34,19 @@ from schemas import (
     decode,
 )
 from vantage.log.appearance import GOALS_A_SIDE, Appearance, Picture, row_repeats, value_picture
+from vantage.log.words import words_of
 
 __all__ = ["Appearance", "Viewer", "ViewerMessage", "value_picture"]
 
 ARENA_FRAME = "arena"
 _GOAL_SPACING = 0.1  # m; as Plan.values describes it
 _LARGE = 256 * 1024
+_LEVELS = {
+    "debug": fox.LogLevel.Debug,
+    "info": fox.LogLevel.Info,
+    "warning": fox.LogLevel.Warning,
+    "error": fox.LogLevel.Error,
+}
 
 
 class ViewerMessage(NamedTuple):
@@ -146,17 +153,17 @@ class Viewer:
         self._translations: dict[type[Message], Callable[[str, Any], list[tuple[str, Any]]]] = {
             Pose: self._pose,
             Track: self._pose,
-            Motion: self._motion,
+            Motion: self._text,
             DepthImage: self._depth,
             ColorImage: self._picture,
             StateImage: self._state_image,
             Layout: self._layout,
             Plan: self._plan,
             PredictReply: self._predicted_views,
-            Episode: self._episode,
-            Health: self._health,
-            Gap: self._gap,
-            Control: self._control,
+            Episode: self._text,
+            Health: self._text,
+            Gap: self._text,
+            Control: self._text,
             Playback: self._playback_text,
         }
 
@@ -287,49 +294,16 @@ class Viewer:
         views = [np.frombuffer(view, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3) for view in message.views]
         return [("predictor/views", _image(message, ARENA_FRAME, np.concatenate(views, axis=1)))]
 
-    def _text(self, message: Message, name: str, text: str, level: fox.LogLevel = fox.LogLevel.Info) -> list[tuple[str, Any]]:
-        return [("text", fox.Log(timestamp=_time(message), level=level, name=name, message=text))]
+    def _text(self, key: str, message: Message) -> list[tuple[str, Any]]:
+        words = words_of(key, message)
+        if words is None:
+            return []
+        return [("text", fox.Log(timestamp=_time(message), level=_LEVELS[words.level], name=words.name, message=words.text))]
 
-    def _episode(self, _key: str, message: Episode) -> list[tuple[str, Any]]:
-        ending = f": {message.outcome} {message.reason}".rstrip() if message.phase in ("ended", "aborted") else ""
-        level = fox.LogLevel.Warning if message.phase == "aborted" else fox.LogLevel.Info
-        phase = "paused" if message.paused else message.phase
-        return self._text(message, "referee", f"episode {message.episode} (seed {message.seed}) {phase}{ending}", level)
-
-    def _health(self, _key: str, message: Health) -> list[tuple[str, Any]]:
-        level = fox.LogLevel.Warning if message.state == "degraded" else fox.LogLevel.Debug
-        return self._text(message, message.service, f"{message.state} {message.reason}".rstrip(), level)
-
-    def _gap(self, _key: str, message: Gap) -> list[tuple[str, Any]]:
-        text = f"{message.missed} messages of {message.key} from {message.publisher} lost"
-        return self._text(message, "recorder", text, fox.LogLevel.Error)
-
-    def _control(self, _key: str, message: Control) -> list[tuple[str, Any]]:
-        match message.action:
-            case "start":
-                detail = f": {message.games or 'endless'} games from seed {message.seed}"
-            case "discard":
-                detail = f" episode {message.episode}"
-            case "seek":
-                detail = f" to {message.position:.1f} s"
-            case "resume" if message.speed is not None:
-                detail = f" at {message.speed:g} times the speed"
-            case _:
-                detail = ""
-        return self._text(message, "control", message.action + detail)
-
-    def _motion(self, key: str, message: Motion) -> list[tuple[str, Any]]:
-        off = f"{1000 * message.distance_error:.1f} mm and {math.degrees(message.heading_error):.1f} degrees off"
-        battery = "" if message.battery is None else f", {message.battery:.1f} V"
-        text = f"{message.primitive} of step {message.step}: {message.result}, {off}, {message.elapsed:.2f} s{battery}"
-        level = fox.LogLevel.Debug if message.result == "completed" else fox.LogLevel.Warning
-        return self._text(message, key, f"{text} {message.reason}".rstrip(), level)
-
-    def _playback_text(self, _key: str, message: Playback) -> list[tuple[str, Any]]:
+    def _playback_text(self, key: str, message: Playback) -> list[tuple[str, Any]]:
         """Said twice a second; shown when something changed."""
         state = (message.log, message.state, message.speed, message.jumps)
         if state == self._playback:
             return []
         self._playback = state
-        place = f"{message.position:.1f} of {message.duration:.1f} s"
-        return self._text(message, "replay", f"{message.log}: {message.state} at {place}, {message.speed:g} times as fast")
+        return self._text(key, message)
