@@ -36,6 +36,8 @@ TOLD_PERIOD = 1.0
 READ_PATIENCE = 0.1
 START_PATIENCE = 5.0
 STOP_PATIENCE = 0.8
+CLOSING = 0.05
+"""Seconds in which pages can still be told that the console ends."""
 WAITING_LIMIT = 4096
 """Requests of pages that wait for the core; further ones are refused."""
 
@@ -56,6 +58,21 @@ class _Header(msgspec.Struct):
 
 
 _header = msgspec.json.Decoder(_Header)
+
+
+class _Server(uvicorn.Server):
+    """uvicorn's server, which ends at once: pages are told, but none can keep it."""
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        for server in self.servers:
+            server.close()
+        for connection in list(self.server_state.connections):
+            connection.shutdown()
+        await asyncio.sleep(CLOSING)
+        for task in list(self.server_state.tasks):
+            task.cancel()
+        for connection in list(self.server_state.connections):
+            connection.transport.abort()
 
 
 class PageServer:
@@ -113,7 +130,7 @@ class PageServer:
         self.port = listening.getsockname()[1]
         self._application = Application(Guard(self._settings.host, self.token), self._tell, self.count, self._page)
         http, websocket = protocols(self.count)
-        server = uvicorn.Server(
+        server = _Server(
             uvicorn.Config(
                 self._application.asgi,
                 http=http,
@@ -129,7 +146,6 @@ class PageServer:
                 date_header=False,
                 h11_max_incomplete_event_size=16 * 1024,
                 timeout_keep_alive=5,
-                timeout_graceful_shutdown=0,
             )
         )
         # One line for every stranger who says nonsense would fill the log; they are counted.
@@ -191,7 +207,7 @@ class PageServer:
         server, thread = self._server, self._thread
         if server is None or thread is None:
             return
-        server.should_exit = server.force_exit = True
+        server.should_exit = True
         thread.join(STOP_PATIENCE)
         self._server = self._thread = None
         self.port = 0
