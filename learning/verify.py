@@ -74,6 +74,8 @@ def recomputed_outcome(game: EpisodeLog) -> tuple[str, int | None]:
     """Return outcome and step of the catch as the poses and the rules have it."""
     rules = game.episode.rules
     for step in range(1, game.steps + 1):
+        if any(step not in game.poses[robot] for robot in ROBOTS):
+            continue  # the game is not whole, which is found elsewhere
         hider, seeker = game.poses["hider"][step], game.poses["seeker"][step]
         if rules.catching and math.hypot(hider.x - seeker.x, hider.y - seeker.y) <= rules.catch_distance + CATCH_TOLERANCE:
             return "caught", step

@@ -1,18 +1,22 @@
 """`vantage log verify` and process replay find what is wrong with a log: one spoilt message is enough."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import replace as with_changes
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 from learning.collect import CollectSettings, play_block
-from learning.process_replay import replay_service
+from learning.process_replay import ProcessReplay, replay_service
 from learning.verify import VerifySettings, check_game, main
-from schemas import GOAL_COUNT, Command, Message, Rules, encode
-from tests.log.making import write_log
+from schemas import GOAL_COUNT, Command, Message, PredictReply, PredictRequest, Rules, encode
+from services.simulator.core import SimulatorSettings
+from tests.log.making import records_of, write_log
 from vantage.log import LogWriter, Record, read
 from vantage.log.episodes import EpisodeLog, episodes
+from vantage.service import Answered, Ask, Changed, Declaration, Received, Send
+from vantage.world.camera import Camera
 
 Change = Callable[[Message], Message | None]
 
@@ -44,7 +48,7 @@ def other_primitive(message: Message) -> Message:
 
 
 def wrong(game: EpisodeLog) -> list[str]:
-    return [finding.what.partition(" ")[2] for finding in check_game(game) if not finding.good]
+    return [finding.what.partition(" ")[2] for finding in check_game(game) if finding.good is False]
 
 
 def test_a_service_that_says_the_same_again_has_no_differences(log: Path) -> None:
@@ -59,7 +63,7 @@ def test_replay_names_the_message_and_the_field_that_differ(log: Path) -> None:
 
 
 def test_replay_finds_an_input_that_explains_another_output(log: Path) -> None:
-    moved = spoilt(log, "seeker/pose", 4, lambda pose: replace(pose, heading=pose.heading + 1.0))  # type: ignore[attr-defined,call-arg]
+    moved = spoilt(log, "seeker/pose", 4, lambda pose: replace(pose, heading=pose.heading + 1.0))  # type: ignore[attr-defined]
     found = {item.key: item.differences for item in replay_service(moved, "seeker")}
     assert "message 4 (episode 3, step 4) differs in data" in found["seeker/view"][0]
 
@@ -113,10 +117,61 @@ def test_a_game_that_did_not_end_is_no_good(log: Path) -> None:
     assert wrong(game) == ["3 ended"]
 
 
-def test_verify_says_no_with_its_exit_code(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    # The planner did not drive this hider: replayed, it says nothing.
-    assert main(VerifySettings(log)) == 1
+@pytest.mark.parametrize("views", [True, False])
+def test_a_collected_log_is_good_with_the_settings_it_was_made_with(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], views: bool
+) -> None:
+    made = CollectSettings(hider="random", seed=77, views=views, rules=Rules(maximum_steps=30))
+    camera = SimulatorSettings(Camera(width=40, height=12, horizontal_fov=1.1))
+    path = tmp_path / "log.mcap"
+    play_block(with_changes(made, world=camera), range(1, 4), path)
+    assert main(VerifySettings(path)) == 0, capsys.readouterr().out
+    shown = capsys.readouterr().out
+    assert "NO" not in shown and "not recorded with" in shown and "hider/color by simulator" in shown
+    compared = {found.key: found.compared for service in ("simulator", "referee") for found in replay_service(path, service)}
+    assert compared["episode"] == 9 and compared["hider/pose"] == compared["tick"] + 3
+
+
+@pytest.mark.parametrize("key", ["hider/command", "seeker/command", "hider/pose", "seeker/depth", "tick"])
+def test_verify_says_no_with_its_exit_code(log: Path, capsys: pytest.CaptureFixture[str], key: str) -> None:
+    assert main(VerifySettings(log)) == 0
+    assert main(VerifySettings(spoilt(log, key, 4, lambda _: None))) == 1
     assert "NO" in capsys.readouterr().out
+
+
+def test_replies_are_told_apart_where_several_ask_the_predictor() -> None:
+    """The planner's question and another's, answered in the other order: each gets its own answer."""
+
+    def request(paths: int) -> PredictRequest:
+        return PredictRequest(
+            stamp=5, state_image=bytes(128 * 128), path_count=paths, path_steps=2, paths=bytes(16 * paths), horizons=(1,)
+        )
+
+    core = Asking(request(3))
+    replay = ProcessReplay(core)
+    asked = [("predictor/request", request(paths)) for paths in (3, 1)]
+    answered = [("predictor/reply", PredictReply(stamp=5, caught=bytes(4 * paths))) for paths in (1, 3)]
+    for record in records_of([*asked, *answered]):
+        replay.feed(record)
+    assert [len(reply.caught) for reply in core.answers] == [12]
+
+
+class Asking:
+    """Asks one question at once, and keeps what comes back."""
+
+    declaration = Declaration("planner", outputs=("hider/command",), calls=("predictor",), heeds=("predictor",))
+
+    def __init__(self, question: PredictRequest) -> None:
+        self._question = question
+        self.answers: list[PredictReply] = []
+
+    def wake_at(self) -> int | None:
+        return None
+
+    def step(self, received: Received, now: int) -> Sequence[Send]:
+        if isinstance(received, Answered) and isinstance(received.reply, PredictReply):
+            self.answers.append(received.reply)
+        return [Ask("predictor", self._question, 1.0, 1)] if isinstance(received, Changed) else ()
 
 
 def test_a_log_without_a_game_is_not_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
