@@ -482,6 +482,25 @@ def test_a_game_that_nobody_drives_ends_soon_and_says_why(hider: str, seconds: f
     assert table.wake() == [] and table.core.wake_at() is None  # nor are the other four tried
 
 
+def test_each_wish_waits_for_the_console_anew() -> None:
+    table = Table()
+    table.arrive()
+    table.ask("start", players=HUMAN)
+    table.now += 4 * SECOND
+    table.ask("start", players=HUMAN)
+    again = table.now
+    _, aborted = table.wake()
+    assert isinstance(aborted, Episode) and "no console" in aborted.reason and table.now == again + 5 * SECOND
+    table.ask("start", players=HUMAN)
+    table.now += SECOND
+    table.send(Changed("planner", False))
+    assert table.wake() == []  # it is the planner that is waited for now
+    table.now += 60 * SECOND
+    assert table.send(Changed("planner", True)) == []
+    (setup,) = table.console_says()
+    assert isinstance(setup, Episode) and setup.phase == "setup"
+
+
 @pytest.mark.parametrize("rules", [Rules(step_period=0.0), PACED])
 @pytest.mark.parametrize("step", [0, 1])
 def test_a_human_whose_console_dies_is_not_waited_for(rules: Rules, step: int) -> None:
