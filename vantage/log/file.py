@@ -132,6 +132,8 @@ class LogFile:
                     return
             position = following
         self._note(f"breaks off at byte {position} of {self._size}")
+        if self.chunks:
+            self.chunks[-1].channels = None  # its index may be cut off, too
 
     def _take(self, opcode: int, view: mmap.mmap | bytes, body: int, length: int) -> None:
         match opcode:

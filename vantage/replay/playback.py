@@ -214,7 +214,7 @@ class Playback:
         self._ended = False
         self._clock.stop(now)
         self._clock.set(position, now)
-        self._next = None
+        self._next, self._word = None, None
         self._state_due = now + settle
 
     def _say_state(self, now: int) -> list[Said]:
@@ -222,7 +222,7 @@ class Playback:
         position = self._clock.time(now)
         self._records = self._source.records(position)
         self._next = next(self._records, None)
-        self._word, self._step = None, 0
+        self._step = 0
         said: list[Said] = []
         index = bisect_right(self._starts, position) - 1
         game = self._source.games[index] if index >= 0 else None
