@@ -40,9 +40,10 @@ from vantage.bus import Sample
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.deployment import CONSOLE_ADDRESS
 from vantage.service import Core, Runtime
+from vantage.world.camera import Camera
 
 PATIENCE = 5.0
-TEXT, BINARY, CLOSE, PING, CONTINUATION = 1, 2, 8, 9, 0
+TEXT, BINARY, CLOSE, PING, PONG, CONTINUATION = 1, 2, 8, 9, 10, 0
 
 
 @dataclass
@@ -119,7 +120,15 @@ class Socket:
         self.raw.sendall(message(TEXT, text.encode()))
 
     def receive(self) -> tuple[int, bytes]:
-        """Opcode and data of the next frame; (CLOSE, b"") where the connection is cut."""
+        """Opcode and data of the next frame but for pings, which are answered; (CLOSE, b"") where the connection is cut."""
+        while True:
+            opcode, data = self._receive()
+            if opcode != PING:
+                return opcode, data
+            with contextlib.suppress(ConnectionError):
+                self.raw.sendall(message(PONG, data))
+
+    def _receive(self) -> tuple[int, bytes]:
         try:
             start = self._exactly(2)
             size = start[1] & 0x7F
@@ -353,11 +362,21 @@ def _half_open(target: Target, source: random.Random) -> str:
     return "left open"
 
 
+def no_token(target: Target, source: random.Random) -> str:
+    """No token, or a wrong one, where the console wants one: it is bound elsewhere than on loopback."""
+    token = target.token
+    assert token
+    wrong = source.choice((None, "vantage", "vantage, " + "x" * 32, f"vantage, {token[:-1]}", f"{token.swapcase()}, vantage"))
+    with Socket(target, Sec_WebSocket_Protocol=wrong) as opened:
+        return str(opened.status)
+
+
 Attack = Callable[[Target, random.Random], str]
 
 ATTACKS: dict[str, tuple[Attack, frozenset[str]]] = {
     "WebSocket of another origin": (_wrong_origin_socket, frozenset({"403", "400"})),
     "WebSocket without origin": (_no_origin, frozenset({"403"})),
+    "WebSocket without the token": (no_token, frozenset({"403"})),
     "another host": (_wrong_host, frozenset({"403", "400"})),
     "page asked by another origin": (_wrong_origin_page, frozenset({"403"})),
     "another method": (_other_method, frozenset({"405", "400"})),
@@ -378,14 +397,6 @@ ATTACKS: dict[str, tuple[Attack, frozenset[str]]] = {
     "half-open": (_half_open, frozenset({"left open"})),
 }
 """What is tried, and how the console may answer: anything else was not refused."""
-
-
-def no_token(target: Target, source: random.Random) -> str:
-    """For a console that is bound elsewhere: no token, or a wrong one."""
-    token = target.token
-    wrong = source.choice((None, "vantage", "vantage, " + "x" * 32, f"vantage, {token[:-1]}", f"{token.swapcase()}, vantage"))
-    with Socket(target, Sec_WebSocket_Protocol=wrong) as opened:
-        return str(opened.status)
 
 
 def attack(
@@ -437,9 +448,13 @@ class Gaps:
 
 
 class Arena:
-    """A game without end on a real bus, the console as a process, an observer, and an honest page."""
+    """A game without end on a real bus, the console as a process, an observer, and an honest page.
 
-    def __init__(self, period: float = 0.1, host: str = "127.0.0.1") -> None:
+    Args:
+        host: what the console is bound to; other than 127.0.0.1 it wants a token.
+    """
+
+    def __init__(self, period: float = 0.1, host: str = "127.0.0.2", camera: Camera | None = None) -> None:
         self._closing = contextlib.ExitStack()
         self.folder = Path(self._closing.enter_context(tempfile.TemporaryDirectory(prefix="vh-")))
         self.folder.chmod(0o700)
@@ -447,6 +462,8 @@ class Arena:
         self.of_console: Counter[str] = Counter()
         self.episodes: set[tuple[int, str]] = set()
         self.reasons: list[str] = []
+        self.lost: dict[str, int] = {}
+        self.ways: list[float] = []  # s from `publish` to the observer's hand
         self._stop = threading.Event()
         rules = Rules(maximum_steps=100_000, catching=False, step_period=period)
         referee = RefereeSettings(
@@ -500,16 +517,19 @@ class Arena:
             event = observer.receive(0.1)
             if not isinstance(event, Sample):
                 continue
+            self.ways.append((time.time_ns() - event.published) / 1e9)
             if event.publisher == "console":
                 self.of_console[event.key] += 1
             if event.key == "tick":
                 self.bus_ticks.note()
-            elif event.key in ("episode", "health/console"):
+            elif event.key == "episode" or event.key.startswith("health/"):
                 said = event.decode()
                 if isinstance(said, Episode):
                     self.episodes.add((said.episode, said.phase))
-                elif isinstance(said, Health) and said.reason:
-                    self.reasons.append(said.reason)
+                elif isinstance(said, Health):
+                    self.lost[said.service] = sum(each.lost for each in said.inputs)
+                    if said.service == "console" and said.reason:
+                        self.reasons.append(said.reason)
 
     def _watch(self) -> None:
         with contextlib.suppress(OSError):  # closed at the end

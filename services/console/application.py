@@ -18,7 +18,7 @@ from services.console.events import PageEvent
 from services.console.frames import notice
 from services.console.guard import PROTOCOL, SECURITY_HEADERS, Guard
 from services.console.outbox import Outbox
-from services.console.protocols import Count
+from services.console.protocols import READY, Count
 from services.console.rate import Rate
 from services.console.requests import MESSAGE_LIMIT, MalformedRequest, decode_request
 
@@ -70,7 +70,9 @@ class Page:
 
     async def send_all(self, socket: WebSocket) -> None:
         """Send what is put, for ever."""
+        ready = socket.scope["extensions"][READY]
         while True:
+            await ready()
             frame = self._outbox.take()
             if frame is None:
                 self._waiting.clear()

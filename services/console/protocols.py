@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import socket
 from collections.abc import Callable
 from typing import Any, cast
 
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.websockets.websockets_sansio_impl import WebSocketsSansIOProtocol
+from websockets.exceptions import InvalidState
 
 CONNECTIONS_LIMIT = 64
 """Connections in all, WebSockets among them; beyond it the oldest that is no WebSocket is closed."""
@@ -16,6 +18,13 @@ HANDSHAKE_PATIENCE = 5.0
 """Seconds in which a request's head and body must have come, and its answer been taken."""
 SEND_BUFFER = 512 * 1024
 """Bytes that the kernel keeps for a page: what it has is shown late by a browser that was stopped."""
+WINDOW = 128 * 1024
+"""Bytes under way to a page, and one frame: what the kernels would take is shown seconds late by a browser that was stopped."""
+MARK_EVERY = 64 * 1024
+"""Bytes after which a page is pinged: its answer says that it has read so far."""
+MARK = b"read"
+READY = "vantage.ready"
+"""Extension of the ASGI scope: awaited before a frame is chosen, so that what was chosen is not old when it can be sent."""
 UNREAD_LIMIT = 8 * 1024 * 1024
 """Bytes that may wait for a client that does not read (answers to its pings)."""
 BYTES_A_SECOND = 64 * 1024
@@ -96,6 +105,47 @@ def protocols(count: Count) -> tuple[type[asyncio.Protocol], type[asyncio.Protoc
     class WebSocket(WebSocketsSansIOProtocol):
         _budget = float(BYTES_A_SECOND)
         _budget_at = 0.0
+        _sent = _marked = _read = 0
+
+        def __init__(self, *arguments: Any, **named: Any) -> None:
+            super().__init__(*arguments, **named)
+            self._window = asyncio.Event()
+
+        async def run_asgi(self) -> None:
+            cast(Any, self.scope)["extensions"][READY] = self.ready
+            await super().run_asgi()
+
+        async def ready(self) -> None:
+            """Wait until the page has read what was sent, all but a window, and nothing waits in this program's memory."""
+            while self._sent - self._read > WINDOW and not self.disconnected:
+                self._window.clear()
+                await self._window.wait()
+            await self.writable.wait()
+
+        async def send(self, message: Any) -> None:
+            await super().send(message)
+            if message["type"] != "websocket.send":
+                return
+            self._sent += len(message["bytes"])
+            if self._sent - self._marked >= MARK_EVERY and not self.close_sent:
+                self._marked = self._sent
+                with contextlib.suppress(InvalidState):  # it has just been closed
+                    self.conn.send_ping(MARK + self._sent.to_bytes(8, "big"))
+                    self.transport.write(b"".join(self.conn.data_to_send()))
+
+        def handle_pong(self, event: Any) -> None:
+            data = bytes(event.data)
+            if not data.startswith(MARK):
+                super().handle_pong(event)
+                return
+            read = int.from_bytes(data[len(MARK) :], "big")
+            if self._read < read <= self._sent:
+                self._read = read
+                self._window.set()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            super().connection_lost(exc)
+            self._window.set()
 
         def connection_made(self, transport: asyncio.BaseTransport) -> None:
             super().connection_made(transport)
