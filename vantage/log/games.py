@@ -139,6 +139,7 @@ def steps_of(
     """Yield every step of the games, game after game and in order: (game, step, key -> message).
 
     A step comes when everything is there that the log has of it; only what publishers run ahead of each other is held in memory.
+    Of a message that is there twice, the first counts.
 
     Args:
         log: where `games` come from.
