@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable
 
 from tests.console.browser import ConsolePage, wait_until
 from tests.stack.table import Table
 from vantage.log import read
 from vantage.log.episodes import EpisodeLog, episodes
+from vantage.log.reader import BrokenLog
 
 BETWEEN = "['between', 'done'].includes(vantage.state.play?.phase)"
 STEP = "vantage.state.frames.tick?.header.step"
@@ -22,7 +24,9 @@ def game_in_log(table: Table, number: int, so: Callable[[EpisodeLog], bool]) -> 
     found: list[EpisodeLog] = []
 
     def look() -> bool:
-        found[:] = [game for game in episodes(read(table.logs)) if game.number == number and so(game)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", BrokenLog)  # it is being written
+            found[:] = [game for game in episodes(read(table.logs)) if game.number == number and so(game)]
         return bool(found)
 
     wait_until(look, 15, f"episode {number} in the log")
@@ -117,8 +121,7 @@ def test_a_session_goes_on_and_the_last_game_can_be_taken_back(page: ConsolePage
     play_to_the_end(page)
     assert "1 of 2 games" in page.text(".outcome")
     page.press("Backspace")
-    page.until("vantage.state.play.games[0].discarded")
-    assert "0 of 2 games" in page.text(".outcome")
+    page.until("document.querySelector('.outcome').innerText.includes('0 of 2 games')")
     game_in_log(table, first, lambda game: game.discarded)
     page.press("Enter")
     page.wait_for_game()

@@ -8,6 +8,8 @@ import { header, ofThisGame, plan, ROBOTS, state, welcome } from './state.js';
 import { color } from './theme.js';
 import { ValueMap } from './value_map.js';
 
+const PATIENCE = 5000; // ms for a line to be read
+
 export class Arena {
   /** @param {(goal: number) => void} choose called with the goal that was clicked. */
   constructor(choose) {
@@ -223,7 +225,9 @@ export class Arena {
     context.setLineDash([]);
   }
 
+  /** Say something that stays for a while. */
   say(text) {
     setText(this.values.line, text);
+    this.values.quietUntil = performance.now() + PATIENCE;
   }
 }

@@ -13,6 +13,7 @@ export class ValueMap {
     this.arena = arena;
     this.choose = choose;
     this.focus = 60; // the middle
+    this.quietUntil = 0;
     this.line = make('p.facts', { 'aria-live': 'polite' }, ' ');
     this.toggle = button('Value map', () => this.show(!state.valuesShown), { 'aria-pressed': 'true', title: 'Show or hide the value map (V)' });
     this.high = make('span', {}, '–');
@@ -150,6 +151,7 @@ export class ValueMap {
   }
 
   describe() {
+    if (performance.now() < this.quietUntil) return;
     const range = this.range();
     const found = ofThisGame('hider/plan');
     setText(this.high, range ? range[1].toFixed(2) : '–');

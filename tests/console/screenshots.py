@@ -1,0 +1,95 @@
+"""Pictures of the console for docs/: `python -m tests.console.screenshots`, from games that are really played."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import tyro
+from PIL import Image
+from rich.console import Console
+
+from tests.console.browser import ConsolePage, address_of, chromium
+from tests.stack.table import Table
+
+SIZES = ((1440, 900), (1920, 1080))
+THEMES: tuple[Literal["dark", "light"], ...] = ("dark", "light")
+MAXIMUM_BYTES = 150_000
+LATE_STEP = 72
+"""Of a game to watch: most predicted views then have the true one beside them."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Start a simulation, watch and play games in a real browser, and save what the page shows.
+
+    Examples:
+        python -m tests.console.screenshots
+        python -m tests.console.screenshots --to /tmp/pictures --seed 7
+    """
+
+    to: Path = Path(__file__).parents[2] / "docs" / "console"
+    """Where the pictures go."""
+    seed: int = 1
+    """Seed of the game that is watched."""
+
+
+def save(picture: bytes, path: Path) -> None:
+    """Write a PNG with a palette, with as many colours as `MAXIMUM_BYTES` allow."""
+    image = Image.open(io.BytesIO(picture)).convert("RGB")
+    for colors in (256, 160, 96, 64, 32):
+        packed = io.BytesIO()
+        image.quantize(colors, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
+        if packed.tell() <= MAXIMUM_BYTES:
+            break
+    path.write_bytes(packed.getvalue())
+
+
+def looks(page: ConsolePage) -> Iterator[str]:
+    """Give the page each size and theme in turn; yields the end of the picture's name."""
+    for width, height in SIZES:
+        page.page.set_viewport_size({"width": width, "height": height})
+        for theme in THEMES:
+            page.page.emulate_media(color_scheme=theme)
+            # Drawn in the display frame after the change, at the latest.
+            page.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            page.until(f"document.documentElement.dataset.theme === '{theme}'")
+            yield f"{width}x{height}-{theme}.png"
+
+
+def main(settings: Settings) -> None:
+    console = Console(highlight=False)
+    settings.to.mkdir(parents=True, exist_ok=True)
+
+    def photograph(page: ConsolePage, name: str) -> None:
+        for end in looks(page):
+            save(page.page.screenshot(), settings.to / f"{name}-{end}")
+        console.print(f"{name}: done")
+
+    with Table() as table, chromium() as browser:
+        page = ConsolePage(browser, address_of(table.folder))
+        photograph(page, "first-visit")
+        page.page.get_by_label("seed").fill(str(settings.seed))
+        page.page.locator("form.bar button.primary").click()
+        page.until(f"vantage.state.frames.tick?.header.step >= {LATE_STEP}", timeout=60)
+        photograph(page, "live")
+        page.idle()
+        page.press("h")
+        photograph(page, "rules")
+        page.press("Escape")
+        page.begin_human_game(steps=400, period=0.25, seed=5)
+        page.press("i")
+        page.page.keyboard.down("ArrowLeft")
+        seen = "vantage.state.frames['hider/view']?.header.other_x != null"
+        page.until(f"{seen} && vantage.state.frames.tick?.header.step > 4", timeout=30)
+        page.page.keyboard.up("ArrowLeft")
+        photograph(page, "play")
+        page.idle()
+        page.close()
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Settings))
