@@ -55,7 +55,7 @@ class SeekerCore:
             if episode.episode == self._join.episode:
                 self._attention = None
             return None
-        if episode.episode < self._join.episode:
+        if episode.episode < self._join.episode and episode.phase != "setup":  # a replayed log goes back to an earlier game
             raise Unexpected(f"episode {episode.episode} came after episode {self._join.episode} had begun")
         if episode.phase == "running" and episode.episode == self._join.episode:
             return None

@@ -1,0 +1,268 @@
+"""A recorded log on a real bus: services work on it as if it were live, and it does what it is told."""
+
+from __future__ import annotations
+
+import contextlib
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from learning.in_process import play
+from learning.process_replay import without_clock
+from schemas import Control, Health, Message, Plan, Playback, Rules
+from services.planner.core import PlannerCore
+from services.predictor.__main__ import make_core
+from services.predictor.core import PredictorSettings
+from services.referee.core import RefereeCore, RefereeSettings
+from services.seeker.core import SeekerCore
+from services.simulator.core import SimulatorCore, SimulatorSettings
+from tests.stack.table import VANTAGE
+from vantage.bus import Sample
+from vantage.bus.zenoh_bus import ZenohBus
+from vantage.log import LogWriter
+from vantage.log.reader import read
+from vantage.world.camera import Camera
+
+STEPS = 16
+GAMES = 2
+SLOW, QUICK = 0.1, 10.0
+"""Slow enough for a plan between two ticks."""
+WATCHED = ("playback", "episode", "tick", "hider/pose", "hider/plan", "hider/command", "health/planner")
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two games with the planner, at four steps a second of a virtual clock."""
+    path = tmp_path_factory.mktemp("log") / "games.mcap"
+    rules = Rules(step_period=0.25, maximum_steps=STEPS, catching=False)
+    settings = RefereeSettings(
+        autoplay=True, games=GAMES, seed=11, rules=rules, required=("simulator", "seeker", "planner", "predictor"), settle=0.0
+    )
+    cores = {
+        "simulator": SimulatorCore(SimulatorSettings(camera=Camera(width=160, height=120))),
+        "seeker": SeekerCore(),
+        "planner": PlannerCore(),
+        "predictor": make_core(PredictorSettings()),
+        "referee": RefereeCore(settings),
+    }
+    with LogWriter(path, {}, sync=False) as writer:
+        play(cores, GAMES, 1_000_000_000_000_000_000, writer)
+    return path
+
+
+def recorded(log: Path, key: str) -> list[Message]:
+    return [without_clock(record.decode()) for record in read(log) if record.key == key]
+
+
+@pytest.fixture(scope="module")
+def folder() -> Iterator[Path]:
+    path = Path(tempfile.mkdtemp(prefix="v", dir="/tmp"))
+    yield path
+    shutil.rmtree(path, ignore_errors=True)
+
+
+class Listener:
+    """Somebody on the bus, who remembers what was said."""
+
+    def __init__(self, bus: ZenohBus) -> None:
+        self.bus = bus
+        self.heard: list[Sample] = []
+        bus.subscribe(*WATCHED)
+
+    def listen(self, seconds: float = 0.05) -> None:
+        event = self.bus.receive(seconds)
+        if isinstance(event, Sample):
+            self.heard.append(event)
+
+    def until(self, found: Callable[[], bool], timeout: float, what: str) -> None:
+        deadline = time.monotonic() + timeout
+        while not found():
+            assert time.monotonic() < deadline, f"{what}: not within {timeout:g} s; last {self.playback}"
+            self.listen()
+
+    def said(self, key: str, since: int = 0) -> list[Message]:
+        return [sample.decode() for sample in self.heard[since:] if sample.key == key]
+
+    @property
+    def playback(self) -> Playback | None:
+        reports = self.said("playback")
+        return reports[-1] if reports else None  # type: ignore[return-value]
+
+    def health(self) -> Health:
+        """What the planner says of itself next."""
+        since = len(self.heard)
+        self.until(lambda: bool(self.said("health/planner", since)), 5.0, "the planner's health")
+        return self.said("health/planner", since)[-1]  # type: ignore[return-value]
+
+    def wish(self, **fields: object) -> int:
+        """Say a wish, and wait until the replay shows that it was heard; returns from where on to look at what was said."""
+        self.until(lambda: self.bus.has_reader("control"), 10.0, "somebody hears wishes")
+        since = len(self.heard)
+        self.bus.publish("control", Control(stamp=time.time_ns(), **fields))  # type: ignore[arg-type]
+        return since
+
+    def seek(self, position: float) -> int:
+        assert self.playback is not None
+        jumps = self.playback.jumps
+        since = self.wish(action="seek", position=position)
+        self.until(lambda: self.playback is not None and self.playback.jumps > jumps, 5.0, "a jump")
+        return since
+
+
+@pytest.fixture
+def listener(folder: Path) -> Iterator[Listener]:
+    with ZenohBus("command-line", folder) as bus:
+        yield Listener(bus)
+
+
+@pytest.fixture(scope="module")
+def services(folder: Path) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
+    """The predictor and the planner, alive."""
+    started = {
+        name: subprocess.Popen([sys.executable, "-m", f"services.{name}", "--folder", str(folder)], stderr=subprocess.DEVNULL)
+        for name in ("predictor", "planner")
+    }
+    try:
+        with ZenohBus("command-line", folder) as bus:
+            silent = set(started)
+            bus.subscribe(*(f"health/{name}" for name in silent))
+            deadline = time.monotonic() + 30
+            while silent:
+                event = bus.receive(0.2)
+                if isinstance(event, Sample):
+                    silent.discard(event.publisher)
+                assert time.monotonic() < deadline, f"silent: {silent}"
+        yield started
+    finally:
+        for process in started.values():
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def replay(log: Path, folder: Path, *options: str) -> Iterator[subprocess.Popen[str]]:
+    command = [VANTAGE, "replay", str(log), "--folder", str(folder), "--no-start", *options]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def finish(process: subprocess.Popen[str], code: int = 0) -> str:
+    printed, complained = process.communicate(timeout=20)
+    assert process.returncode == code, printed + complained
+    return printed + complained
+
+
+def starts(log: Path) -> list[float]:
+    """Seconds after the log's first message at which its games are set up."""
+    first = None
+    found = []
+    for record in read(log):
+        first = first or record.log_time
+        if record.key == "episode" and record.decode().phase == "setup":  # type: ignore[attr-defined]
+            found.append((record.log_time - first) / 1e9)
+    return found
+
+
+@pytest.mark.usefixtures("services")
+def test_the_live_planner_says_what_was_recorded(log: Path, folder: Path, listener: Listener) -> None:
+    with replay(log, folder, "--speed", str(SLOW), "--once") as process:
+        for number in range(1, GAMES + 1):
+            listener.until(lambda n=number: any(plan.episode == n for plan in listener.said("hider/plan")), 40.0, "a plan")
+            listener.wish(action="resume", speed=QUICK)
+            over = number * STEPS
+            listener.until(lambda n=over: len(listener.said("hider/command")) >= n, 20.0, "the commands of a game")
+            if number < GAMES:  # nobody waits for the time between the games
+                listener.wish(action="resume", speed=SLOW)
+                listener.seek(starts(log)[number] - 0.01)
+        printed = finish(process)
+    assert "planner: played by the live planner instead" in printed
+    assert {sample.publisher for sample in listener.heard if sample.key == "hider/command"} == {"planner"}
+    for key in ("hider/command", "hider/plan"):
+        assert [without_clock(message) for message in listener.said(key)] == recorded(log, key), key
+
+
+@pytest.mark.usefixtures("services")
+def test_it_pauses_jumps_hurries_and_everybody_follows(log: Path, folder: Path, listener: Listener) -> None:
+    games = starts(log)
+    before = listener.health()
+    with replay(log, folder, "--paused", "--game", "2") as process:
+        listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", 20.0, "it waits")
+        assert listener.playback is not None and listener.playback.position == pytest.approx(games[1], abs=1e-3)
+        # Back and forth, while it plays: into the middle of a game the planner joins there.
+        listener.wish(action="resume", speed=1.0)
+        for game, later in ((1, 2.0), (0, 2.0), (1, 1.0), (0, 3.0)):
+            since = listener.seek(games[game] + later)
+            listener.until(
+                lambda s=since, n=game + 1: any(plan.episode == n for plan in listener.said("hider/plan", s)),
+                20.0,
+                "the planner plans in the game sought",
+            )
+            plan = next(plan for plan in listener.said("hider/plan", since) if plan.episode == game + 1)
+            assert isinstance(plan, Plan) and plan.step >= later / 0.25 - 1
+        # A pause holds the stream, and the referee says so.
+        since = listener.wish(action="pause")
+        listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", 5.0, "a pause")
+        listener.until(lambda: any(word.paused for word in listener.said("episode", since)), 5.0, "the referee's word")  # type: ignore[attr-defined]
+        since = len(listener.heard)
+        deadline = time.monotonic() + 1.5
+        while time.monotonic() < deadline:
+            listener.listen()
+        assert not listener.said("tick", since) and not listener.said("hider/pose", since)
+        # At ten times the speed everything still comes, in order.
+        since = listener.seek(0.0)
+        listener.wish(action="resume", speed=QUICK)
+        listener.until(lambda: listener.playback is not None and listener.playback.state == "ended", 20.0, "the end")
+        for key in ("tick", "hider/pose"):
+            expected = [(message.episode, message.step) for message in recorded(log, key)]
+            whole = len(expected)
+            listener.until(lambda k=key, n=whole: len(listener.said(k, since)) >= n, 5.0, f"the last {key}")
+            assert [(message.episode, message.step) for message in listener.said(key, since)] == expected
+        after = listener.health()
+        # Of the step under way at a jump, pose and pictures are known when they come again; nothing else is out of place.
+        assert after.unexpected - before.unexpected <= 3 * listener.playback.jumps, after.reason
+        assert after.failed == before.failed == 0 and not any(entry.lost or entry.malformed for entry in after.inputs)
+        process.send_signal(signal.SIGTERM)
+        finish(process)
+
+
+def test_a_killed_replay_hangs_nobody_and_leaves_its_names_free(
+    log: Path, folder: Path, services: dict[str, subprocess.Popen[bytes]], listener: Listener
+) -> None:
+    with replay(log, folder, "--speed", "1", "--from", "1") as process:
+        listener.until(lambda: bool(listener.said("tick")), 20.0, "it plays")
+        process.kill()
+    listener.until(lambda: "referee is not alive" in listener.health().reason, 15.0, "the planner misses the referee")
+    with replay(log, folder, "--speed", "100", "--once") as again:
+        finish(again)
+    services["planner"].send_signal(signal.SIGTERM)
+    assert services["planner"].wait(timeout=3) == 0
+
+
+def test_a_live_referee_is_left_alone(log: Path, folder: Path) -> None:
+    with ZenohBus("referee", folder), replay(log, folder) as process:
+        said = finish(process, code=1)
+    assert "vantage replay: a referee is alive" in said and "vantage down" in said and "Traceback" not in said
+
+
+def test_a_deployment_is_started_around_it_and_stopped(log: Path) -> None:
+    home = Path(tempfile.mkdtemp(prefix="v", dir="/tmp"))
+    try:
+        command = [VANTAGE, "replay", str(log), "--folder", str(home / "run"), "--once", "--speed", "20"]
+        outcome = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=90, check=False)
+        assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+        assert "watch in a browser: http://" in outcome.stdout
+        assert "predictor: played by the live predictor instead" in outcome.stdout
+        assert not (home / "run" / "supervisor.sock").exists()
+    finally:
+        shutil.rmtree(home, ignore_errors=True)
