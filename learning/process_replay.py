@@ -19,7 +19,7 @@ from pathlib import Path
 from msgspec.structs import fields as fields_of
 from msgspec.structs import replace
 
-from schemas import DepthImage, Episode, MalformedMessage, Message, PredictReply, PredictRequest
+from schemas import Control, DepthImage, Episode, MalformedMessage, Message, PredictReply, PredictRequest, Tick
 from services.planner.core import PlannerCore, PlannerSettings
 from services.referee.core import RefereeCore, RefereeSettings
 from services.referee.declaration import DECLARATION as REFEREE
@@ -246,6 +246,29 @@ def in_order_of_publishing(records: Iterable[Record]) -> Iterator[Record]:
         yield heapq.heappop(waiting)[2]
 
 
+def pauses_as_heard(records: Iterable[Record]) -> Iterator[Record]:
+    """Yield records with every pause behind the tick that the referee gave before it heard of it: it was on its way."""
+    held: list[Record] = []  # a pause and what was published after it, up to the referee's next word
+    for record in records:
+        if held or (record.key == "control" and _action(record) == "pause"):
+            held.append(record)
+            if record.key not in ("tick", "episode"):
+                continue
+            message = record.decode() if record.well_formed else None
+            if isinstance(message, Tick) and not message.late:
+                held = [*held[1:], held[0]]
+            yield from held
+            held = []
+        else:
+            yield record
+    yield from held
+
+
+def _action(record: Record) -> str:
+    message = record.decode() if record.well_formed else None
+    return message.action if isinstance(message, Control) else ""
+
+
 def replay_service(path: Path, service: str) -> list[Comparison]:
     """Replay a log through one service; nothing where the log holds nothing that it said (`why_silent`).
 
@@ -257,7 +280,7 @@ def replay_service(path: Path, service: str) -> list[Comparison]:
     if not any(contents.has(key, service) for key in core.declaration.outputs if not key.startswith("health/")):
         return []
     replay = ProcessReplay(core)
-    for record in in_order_of_publishing(read(path)):
+    for record in pauses_as_heard(in_order_of_publishing(read(path))):
         replay.feed(record)
     return replay.compare()
 

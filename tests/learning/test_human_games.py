@@ -173,6 +173,23 @@ def test_a_planner_that_had_no_game_is_not_blamed(log: Path, capsys: pytest.Capt
     assert ("no game of its own" in shown) == health and ("not recorded with" in shown) != health
 
 
+def test_a_pause_may_be_on_its_way_while_the_referee_ticks(log: Path) -> None:
+    """By the publishers' clock it comes before a tick that the referee gave before it heard of the pause."""
+    records = list(read(log))
+    ticks = [record.publish_time for record in records if record.key == "tick"]
+    moved = 0
+    for index, record in enumerate(records):
+        message = record.decode()
+        if isinstance(message, Control) and message.action == "pause":
+            before = max(time for time in ticks if time <= record.publish_time)
+            records[index] = replace(record, publish_time=before - 1)
+            moved += 1
+    assert moved > 3
+    write_log(path := log.with_name("on-its-way.mcap"), records)
+    assert [found.differences for found in replay_service(path, "referee")] == [[], []]
+    assert verify(VerifySettings(path)) == 0
+
+
 def test_another_command_in_the_log_makes_another_game(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     game = games_in(log)[KEPT[0] - 1]
     step = next(
