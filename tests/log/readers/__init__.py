@@ -1,0 +1,1 @@
+"""Exports checked by other people's readers: `python -m tests.log.readers`."""
