@@ -48,7 +48,7 @@ def test_every_command_exists_and_explains_itself(command: cli.Command) -> None:
     [
         (("fly",), "no command `fly`"),
         (("train",), "vantage train vpt-tob"),
-        (("up", "moon"), "no deployment `moon`; there is: hardware, rehearsal, simulation"),
+        (("up", "moon"), "no deployment `moon`; there is: hardware, rehearsal, replay, simulation"),
         (("up", "--with", "seeker"), 'NAME="ARGUMENTS"'),
         (("up", "--with", "pilot=--x"), "no such service in this deployment: pilot"),
         (("up", "--folder", "/tmp/" + "long" * 30), "too long for unix sockets"),

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import io
 import subprocess
 import sys
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
+from rich.console import Console
 
-from schemas import Control, Playback
+from schemas import Control, Health, Message, Playback, Tick
 from tests.replay.games import MILLISECOND, ListedSource, game, recorded
 from tests.replay.test_recording import made, write
-from vantage.replay.display import clock_text, line
+from vantage.replay.display import Display, clock_text, line
 from vantage.replay.keys import wishes_in
-from vantage.replay.playback import SECOND, SETTLE
+from vantage.replay.playback import SECOND, SETTLE, Said
 from vantage.replay.playback import Playback as Core
-from vantage.replay.playing import Quit, obey
+from vantage.replay.playing import SILENCE, Player, Quit, obey
 
 VANTAGE = Path(sys.executable).parent / "vantage"
 
@@ -81,6 +84,75 @@ def test_the_line_says_where_it_stands() -> None:
     assert line(report, 3, 5) == "⏸ 1:15.2 / 1:01:40.0  game 7 (4 of 5)  step 12  x2  paused"
     assert "no game yet" in line(report, None, 5) and "no game in it" in line(report, None, 0)
     assert clock_text(59.99) == "0:59.9"
+
+
+class Stage:
+    """A player without bus, terminal or time of its own."""
+
+    def __init__(self, playback: Core) -> None:
+        self.now = 0
+        self.said: list[tuple[int, Said]] = []
+        self.told: list[tuple[int, Message]] = []
+        self.wishes: list[tuple[int, object]] = []
+        display = Display(Console(file=io.StringIO()), keys=False)
+        self.player = Player(
+            playback,
+            lambda said: self.said.append((self.now, said)),
+            lambda key, message: self.told.append((self.now, message)),
+            self.receive,
+            lambda: self.now,
+            display,
+            games=2,
+            once=True,
+        )
+
+    def receive(self, timeout: float) -> object:
+        due = self.wishes[0][0] if self.wishes else None
+        until = self.now + max(1, round(timeout * SECOND))
+        if due is not None and due <= until:
+            self.now = max(self.now, due)
+            return self.wishes.pop(0)[1]
+        self.now = until
+        return None
+
+    def health_times(self) -> list[int]:
+        return [at for at, said in self.said if isinstance(said.message, Health)]
+
+
+def test_a_log_is_played_to_its_end_at_its_own_times_and_told_twice_a_second() -> None:
+    records = recorded(game(1, 5, 8, "ended"), [250 * MILLISECOND])
+    stage = Stage(Core(ListedSource(records), lambda key, publisher: True, 0))
+    stage.player.run()
+    assert [said.message for _, said in stage.said] == [record.decode() for record in records]
+    shifts = [at - (record.log_time - records[0].log_time) for (at, _), record in zip(stage.said, records, strict=True)]
+    assert max(shifts) - min(shifts) < MILLISECOND
+    times = [at for at, _ in stage.told]
+    assert max(b - a for a, b in pairwise(times)) <= SECOND // 2 + MILLISECOND
+    stage.player.finish()
+    assert isinstance(last := stage.told[-1][1], Playback) and last.state == "ended"
+
+
+def test_news_of_a_jump_comes_before_the_state_that_follows() -> None:
+    stage = Stage(core())
+    stage.wishes = [(SECOND // 2, Control(stamp=1, action="seek", position=1.5))]
+    stage.player.run()
+    told = next(at for at, report in stage.told if isinstance(report, Playback) and report.jumps == 1)
+    setup = next(at for at, said in stage.said if at > SECOND // 2)
+    assert told == SECOND // 2 and setup >= told + SETTLE
+
+
+def test_while_the_log_stands_its_services_say_each_second_how_they_did() -> None:
+    health = ("health/planner", Health(stamp=1, service="planner", state="ok", process=7, uptime=1.0))
+    tick = ("tick", Tick(stamp=1, episode=1))
+    records = recorded([health, tick, tick, tick, tick, tick, tick, tick, tick], [SECOND])
+    stage = Stage(Core(ListedSource(records), lambda key, publisher: True, 0))
+    stage.wishes = [(SECOND // 2, "pause"), (6 * SECOND, "pause")]
+    stage.player.run()
+    times = stage.health_times()
+    assert sum(at <= 6 * SECOND for at in times) in (5, 6)
+    assert all(b - a >= SECOND for a, b in pairwise(times))
+    # The planner had fallen silent: once the log goes on, that shows.
+    assert max(times) <= 6 * SECOND + SILENCE
 
 
 @pytest.mark.parametrize(

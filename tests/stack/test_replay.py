@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import os
 import shutil
 import signal
 import subprocess
@@ -247,6 +248,30 @@ def test_a_killed_replay_hangs_nobody_and_leaves_its_names_free(
         finish(again)
     services["planner"].send_signal(signal.SIGTERM)
     assert services["planner"].wait(timeout=3) == 0
+
+
+def test_keys_move_it_in_a_terminal(log: Path, folder: Path, listener: Listener) -> None:
+    leader, follower = os.openpty()
+    command = [VANTAGE, "replay", str(log), "--folder", str(folder), "--no-start", "--paused"]
+    with subprocess.Popen(command, stdin=follower, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True) as process:
+        os.close(follower)
+
+        def key(sent: bytes, shown: Callable[[Playback], bool]) -> None:
+            os.write(leader, sent)
+            listener.until(lambda: listener.playback is not None and shown(listener.playback), 5.0, f"{sent!r} shows")
+
+        try:
+            listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", 20.0, "it waits")
+            key(b"\x1b[A", lambda playback: playback.speed == 2.0)
+            key(b"n", lambda playback: playback.episode == 1)
+            key(b"\x1b[C", lambda playback: playback.episode == 2 or playback.position >= 4.0)
+            key(b" ", lambda playback: playback.state != "paused")
+            os.write(leader, b"q")
+            assert process.wait(10) == 0, process.communicate()
+            assert listener.playback is not None
+        finally:
+            process.kill()
+            os.close(leader)
 
 
 def test_a_live_referee_is_left_alone(log: Path, folder: Path) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 from msgspec.structs import replace
 
-from schemas import Control, MalformedMessage, Message
+from schemas import Control, Health, MalformedMessage, Message
 from schemas import Playback as PlaybackMessage
 from vantage.bus import Sample
 from vantage.replay.display import Display
@@ -14,6 +14,8 @@ from vantage.replay.playback import SECOND, Playback, Said
 
 REPORT_PERIOD = SECOND // 2
 DISPLAY_PERIOD = SECOND // 10
+SILENCE = 5 * SECOND // 2
+"""ns of the log after which a service that says each second how it does was silent when it was recorded."""
 SKIP = 5.0
 """Seconds that an arrow key goes."""
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0)
@@ -88,6 +90,8 @@ class Player:
         self._report_at = 0
         self._show_at = 0
         self._stopping = False
+        self._health: dict[str, tuple[Said, int, int]] = {}  # key -> last word, real time of saying it, the log's then
+        self._jumps = playback.jumps
 
     def stop(self) -> None:
         """End at the next turn; may be called from a signal handler."""
@@ -107,6 +111,8 @@ class Player:
         now = self._clock()
         for said in self._playback.turn(now):
             self._say(said)
+            if isinstance(said.message, Health):
+                self._health[said.key] = said, now, self._playback.position(now)
         self._report_if_due(now)
         wakes = [self._report_at, self._show_at, self._playback.wake_at(now)]
         wait = (min(wake for wake in wakes if wake is not None) - self._clock()) / SECOND
@@ -136,6 +142,21 @@ class Player:
         self._reported = self._playback.report(now)
         self._publish("playback", self._reported)
         self._report_at = now + REPORT_PERIOD
+        self._repeat_health(now)
+
+    def _repeat_health(self, now: int) -> None:
+        """While the log's clock stands or creeps, let its services say every second what they said last, as live ones would.
+
+        Who had fallen silent when the log was recorded stays silent.
+        """
+        if self._jumps != self._playback.jumps:
+            self._jumps = self._playback.jumps
+            self._health.clear()
+        position = self._playback.position(now)
+        for key, (said, told_at, log_time) in self._health.items():
+            if now - told_at >= SECOND and position - log_time < SILENCE:
+                self._say(said)
+                self._health[key] = said, now, log_time
 
     def _report_if_due(self, now: int) -> None:
         playback, told = self._playback, self._reported
