@@ -6,7 +6,7 @@ Written in the form that both import: panels by id, and a binary tree that says 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from schemas import ROBOTS
@@ -159,7 +159,7 @@ def _split(first: Tree, second: Tree, direction: str, percentage: float) -> Tree
     return {"first": first, "second": second, "direction": direction, "splitPercentage": percentage}
 
 
-def _chain(parts: list[Tree], direction: str) -> Tree:
+def _chain(parts: Sequence[Tree], direction: str) -> Tree:
     """Return a tree of equal parts one after the other."""
     if len(parts) == 1:
         return parts[0]

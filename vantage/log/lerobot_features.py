@@ -70,7 +70,8 @@ def schema_of(arrow: Any, features: dict[str, Feature]) -> Any:
         "bool": arrow.bool_(),
         "uint16": arrow.uint16(),
     }
-    columns, described = [], {}
+    columns: list[tuple[str, Any]] = []
+    described: dict[str, dict[str, Any]] = {}
     for name, feature in features.items():
         shape = feature["shape"]
         if is_picture(feature):
@@ -93,7 +94,7 @@ def schema_of(arrow: Any, features: dict[str, Feature]) -> Any:
 def tasks_table(arrow: Any) -> Any:
     """Return `meta/tasks.parquet`: the number of each task, with its text as pandas' index, as LeRobot reads it."""
     text = "__index_level_0__"
-    columns = [
+    columns: list[dict[str, Any]] = [
         {"name": "task_index", "field_name": "task_index", "pandas_type": "int64", "numpy_type": "int64", "metadata": None},
         {"name": None, "field_name": text, "pandas_type": "unicode", "numpy_type": "object", "metadata": None},
     ]

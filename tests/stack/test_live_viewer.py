@@ -1,0 +1,77 @@
+"""`vantage foxglove` on a real deployment: it shows what happens, disturbs nobody, and ends by Ctrl-C."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+import struct
+import subprocess
+import time
+
+import pytest
+
+from tests.stack.table import VANTAGE, Table
+from vantage.watch import HealthWatch
+
+client = pytest.importorskip("websockets.sync.client")
+DEADLINE = 30.0
+
+
+def test_a_game_is_seen_live(table: Table) -> None:
+    assert table.started.returncode == 0, table.started.stderr
+    words = [VANTAGE, "foxglove", "--folder", table.folder, "--port", "0"]
+    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=table.home)
+    try:
+        assert process.stdout is not None
+        found = re.search(r"ws://127\.0\.0\.1:(\d+)", process.stdout.readline())
+        assert found
+        play = subprocess.Popen(
+            [VANTAGE, "play", "--seed", "7", "--steps", "8", "--folder", table.folder],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=table.home,
+        )
+        counts = watched(int(found[1]))
+        play.communicate(timeout=60)
+        assert play.returncode == 0
+        for robot in ("hider", "seeker"):
+            assert counts[f"viewer/{robot}/pose"] >= 1
+            assert counts[f"viewer/{robot}/color"] >= 1
+        with HealthWatch(table.deployment) as watch:
+            table.wait_until_healthy(watch, 10.0)
+        process.send_signal(signal.SIGINT)
+        said, complained = process.communicate(timeout=10)
+        assert (process.returncode, complained) == (0, "")
+        assert said.endswith("closed\n")
+        assert json.loads((table.folder / "foxglove.layout.json").read_text())["configById"]
+    finally:
+        process.kill()
+        process.wait()
+
+
+def watched(port: int) -> dict[str, int]:
+    """Subscribe to everything until both robots' views, the scene and the value map were seen."""
+    counts: dict[str, int] = {}
+    topics: dict[int, str] = {}
+    wanted = {"viewer/scene", "viewer/hider/plan/picture", "viewer/text", "viewer/hider/view", "viewer/seeker/view"}
+    wanted |= {f"viewer/{robot}/{part}" for robot in ("hider", "seeker") for part in ("pose", "color")}
+    deadline = time.monotonic() + DEADLINE
+    with client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None, close_timeout=0.5) as socket:
+        while not wanted <= counts.keys():
+            assert time.monotonic() < deadline, sorted(wanted - counts.keys())
+            try:
+                data = socket.recv(timeout=0.2)
+            except TimeoutError:
+                continue
+            if isinstance(data, bytes):
+                opcode, subscription, _ = struct.unpack_from("<BIQ", data)
+                if opcode == 1:
+                    counts[topics[subscription]] = counts.get(topics[subscription], 0) + 1
+                continue
+            said = json.loads(data)
+            if said["op"] == "advertise":
+                new = {channel["id"]: channel["topic"] for channel in said["channels"]}
+                topics |= new
+                socket.send(json.dumps({"op": "subscribe", "subscriptions": [{"id": id, "channelId": id} for id in new]}))
+    return counts
