@@ -1,11 +1,13 @@
 """The console as a process: `python -m services.console --help`."""
 
 import sys
+import threading
 from dataclasses import dataclass, field
 
 import tyro
 
 from services.console.core import ConsoleCore
+from services.console.human import warm_up
 from services.console.server import PageServer, ServerSettings
 from services.console.welcome import deployment_name, welcome
 from vantage.service import BusSettings, run
@@ -27,6 +29,7 @@ class Settings:
 
 def main(settings: Settings) -> int:
     about = welcome(settings.bus.arena, deployment_name(settings.bus.folder))
+    threading.Thread(target=warm_up, name="warm-up", daemon=True).start()
     server = PageServer(settings.page, settings.bus.folder)
     return run(lambda: ConsoleCore(about), "console", settings.bus, [server])
 

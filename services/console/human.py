@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from schemas import ColorImage, Command, DepthImage, Episode, Message, Pose, Primitive, StateImage, Tick
 from vantage.perception.state_image import perceive
 from vantage.service import Publish, Send, StepJoin, Unexpected
+from vantage.world.camera import Camera
 
 HUMAN = "human"
 """`players.hider` of a game that a human drives."""
@@ -48,6 +51,14 @@ class Keys:
 
 
 Complete = tuple[Message, ...]
+
+
+def warm_up() -> None:
+    """See one blank view: loads the kernels (the first time compiles them) before a human waits for them."""
+    camera = Camera()
+    picture: dict[str, Any] = {"stamp": 0, "width": camera.width, "height": 1, "intrinsics": camera.intrinsics()}
+    depth, color = DepthImage(data=bytes(2 * camera.width), **picture), ColorImage(data=bytes(3 * camera.width), **picture)
+    perceive(depth, color, Pose(stamp=0, x=0.6, y=0.6, heading=0.0), "hider")
 
 
 class HumanHider:

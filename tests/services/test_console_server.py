@@ -466,8 +466,8 @@ def test_a_page_that_does_not_read_costs_nobody_anything_and_sees_the_present_wh
             late.append(parse(sleeping.receive()[1])[0])
         pictures = [header["number"] for header in late if header["key"] == "hider/color"]
         assert pictures == sorted(pictures)
-        # What the kernel had taken came late; everything between that and the present was left out.
-        assert len(pictures) < 60
+        # What was under way when it stopped reading came late; everything between that and the present was left out.
+        assert len(pictures) <= 4
 
 
 @given(st.lists(st.tuples(st.sampled_from("abcd"), st.booleans()), max_size=60))
@@ -623,3 +623,5 @@ def test_none_of_three_hundred_hostile_requests_reaches_the_bus_and_the_game_goe
         assert {phase for _, phase in arena.episodes} <= {"setup", "running"}
         assert arena.bus_ticks.longest < 2.0
         assert arena.page_ticks.longest < 2.0
+        assert not any(arena.lost.values())
+    assert arena.console.returncode == 0
