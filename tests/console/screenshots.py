@@ -42,7 +42,7 @@ def save(picture: bytes, path: Path) -> None:
     image = Image.open(io.BytesIO(picture)).convert("RGB")
     for colors in (256, 160, 96, 64, 32):
         packed = io.BytesIO()
-        image.quantize(colors, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
+        image.quantize(colors, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
         if packed.tell() <= MAXIMUM_BYTES:
             break
     path.write_bytes(packed.getvalue())
@@ -80,11 +80,11 @@ def main(settings: Settings) -> None:
         page.press("h")
         photograph(page, "rules")
         page.press("Escape")
-        page.begin_human_game(steps=400, period=0.25, seed=5)
+        page.begin_human_game(steps=100, period=1.0, seed=5)  # slow: the pictures are of one moment
         page.press("i")
         page.page.keyboard.down("ArrowLeft")
         seen = "vantage.state.frames['hider/view']?.header.other_x != null"
-        page.until(f"{seen} && vantage.state.frames.tick?.header.step > 4", timeout=30)
+        page.until(f"{seen} && vantage.state.frames.tick?.header.step > 1", timeout=60)
         page.page.keyboard.up("ArrowLeft")
         photograph(page, "play")
         page.idle()

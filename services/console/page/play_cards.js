@@ -2,6 +2,7 @@
 
 import { button, labelled, make, number, select } from './element.js';
 import { LAYOUTS, SEEKERS } from './game_bar.js';
+import { css } from './scales.js';
 import { episode, welcome } from './state.js';
 
 const PERSON = 'vantage-person';
@@ -30,11 +31,13 @@ export function askCard(begin, leave, taken) {
     const value = (key) => Number(fields[key].value);
     begin({ seed: value('seed'), games: value('games'), steps: value('steps'), period: value('period'), layout: fields.layout.value, seeker: fields.seeker.value, person });
   };
+  const swatch = make('i.key.disc', { role: 'img', 'aria-label': 'its colour' });
+  if (welcome()) swatch.style.background = css(welcome().robot_colors.seeker);
   const catching = Math.round(100 * (welcome()?.catch_distance ?? 0.15));
   return make('form.card.ask', { tabindex: '-1', onsubmit: submit },
     make('h2', {}, 'Play the hider'),
     make('ol.rules', {},
-      make('li', {}, 'You drive the hider and see only what its camera sees. The seeker is the other robot, in its own colour.'),
+      make('li', {}, 'You drive the hider and see only what its camera sees. The seeker is the other robot: ', swatch, '.'),
       make('li', {}, `You are caught when the seeker comes within ${catching} cm of you, centre to centre; you win when you last for all steps.`),
       make('li', {}, 'Arrow keys, W A S D or a gamepad: hold to drive or turn, a tap is one step. Space pauses. Boxes hide you.')),
     make('div.fields', {},

@@ -34,7 +34,8 @@ export const replaying = () => header('playback') !== null;
 export function step() {
   const game = episode()?.episode;
   const tick = header('tick');
-  return tick && tick.episode === game ? tick.step : episode()?.step ?? 0;
+  const said = episode()?.step ?? 0; // of a game that is over: its last
+  return tick && tick.episode === game ? Math.max(tick.step, said) : said;
 }
 
 /** A frame's header if it is of the present game, else null. */
