@@ -52,6 +52,8 @@ def protocols(count: Count) -> tuple[type[asyncio.Protocol], type[asyncio.Protoc
             taken = transport.get_extra_info("socket")
             if taken is not None:
                 taken.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER)
+                # asyncio does so only for sockets that were made with the protocol's number.
+                taken.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
             if len(self.connections) > CONNECTIONS_LIMIT:
                 self._make_room()
             self._patience = self.loop.call_later(HANDSHAKE_PATIENCE, self._lose_patience)

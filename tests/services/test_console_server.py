@@ -203,6 +203,20 @@ def test_frames_come_as_one_binary_message_each_and_to_whom_they_are_for(console
         assert parse(one.receive()[1])[0]["key"] == "tick"
 
 
+def test_small_frames_do_not_wait_for_big_ones_to_be_acknowledged(console: Console) -> None:
+    picture = os.urandom(320 * 240 * 3)
+    slow = 0
+    with console.open_page() as opened:
+        for _ in range(100):
+            console.show("hider/color", picture)
+            console.show("tick")
+            opened.receive()
+            began = time.perf_counter()
+            opened.receive()
+            slow += time.perf_counter() - began > 0.035  # a delayed acknowledgement takes 40 ms
+    assert slow <= 3
+
+
 def test_requests_arrive_in_order_with_their_page(console: Console) -> None:
     with console.open_page() as one, console.open_page() as two:
         one.say('{"type":"drive","primitive":"left","held":true}')
