@@ -39,6 +39,7 @@ from vantage.play import SeekerPreset
 from vantage.service import Core
 from vantage.world.layout import ImpossibleLayout, make_layout
 
+EVERY_SPLIT = frozenset(range(len(SPLITS)))
 EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
 EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
 LARGEST_SEED = (2**63 - 1 - EPOCH) // EPISODE_SPACING - 1  # stamps are int64
@@ -93,6 +94,7 @@ def main(settings: CollectSettings) -> int:
         print(error, file=sys.stderr)
         return 2
     trajectories = NO_TRAJECTORIES
+    playable = EVERY_SPLIT
     if settings.hider == "replay":
         if settings.source is None:
             print("`--hider replay` needs the recorded trajectories: --from FOLDER", file=sys.stderr)
@@ -108,18 +110,16 @@ def main(settings: CollectSettings) -> int:
             print(f"{settings.source} holds no hider trajectory{wanted}: {found}", file=sys.stderr)
             return 2
         print(f"{settings.source}: {found}")
-        needed = {split_of(seed) for seed in range(settings.seed, settings.seed + settings.episodes)}
-        if lacking := [SPLITS[split] for split in sorted(needed) if not trajectories[split]]:
+        playable = frozenset(split for split, of_split in enumerate(trajectories) if of_split)
+        if lacking := [name for name, of_split in zip(SPLITS, trajectories, strict=True) if not of_split]:
             print(
-                f"{settings.source} holds no trajectory of the splits {', '.join(lacking)}: an episode replays only what was "
-                "recorded in its own split, so that no path is in training and in test; record more games",
-                file=sys.stderr,
+                f"seeds of the splits {', '.join(lacking)} are left out, for which nothing was recorded: an episode replays only "
+                "what was recorded in its own split, so that no path is in training and in test"
             )
-            return 2
     settings.to.mkdir(parents=True, exist_ok=True)
     _remove_partial_logs(settings.to)
     recorded = trajectories_hash(trajectories)
-    blocks = blocks_of(settings)
+    blocks = blocks_of(settings, playable)
     waiting = []
     for block in blocks:
         path = log_path(settings, block)
@@ -155,10 +155,20 @@ def main(settings: CollectSettings) -> int:
     return 0
 
 
-def blocks_of(settings: CollectSettings) -> list[range]:
-    """Return the episodes of each log, the first of all counted as 1."""
-    stop = settings.episodes + 1
-    return [range(first, min(first + settings.block, stop)) for first in range(1, stop, settings.block)]
+def blocks_of(settings: CollectSettings, playable: frozenset[int] = EVERY_SPLIT) -> list[range]:
+    """Return the episodes of each log, the first of all counted as 1; those of splits that are not playable are left out."""
+    blocks: list[range] = []
+    count, episode = 0, 1
+    while count < settings.episodes:
+        if split_of(settings.seed + episode - 1) in playable:
+            last = blocks[-1] if blocks else range(0)
+            if len(last) and last.stop == episode and len(last) < settings.block:
+                blocks[-1] = range(last.start, episode + 1)
+            else:
+                blocks.append(range(episode, episode + 1))
+            count += 1
+        episode += 1
+    return blocks
 
 
 def configuration_of(

@@ -115,7 +115,7 @@ def test_unknown_hiders_and_missing_trajectories_are_clear_errors(tmp_path: Path
     assert "--from FOLDER" in capsys.readouterr().err
 
 
-def test_an_episode_replays_only_what_was_recorded_in_its_own_split(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_episode_replays_only_what_was_recorded_in_its_own_split(tmp_path: Path) -> None:
     """Else a path that was learnt from would be judged in a test."""
     rules = Rules(maximum_steps=12, catching=False)
     recorded = CollectSettings(episodes=40, hider="random", seed=20, to=tmp_path / "evader", workers=1, rules=rules)
@@ -129,7 +129,18 @@ def test_an_episode_replays_only_what_was_recorded_in_its_own_split(tmp_path: Pa
         own = {tuple(primitives) for primitives in by_split[split]}
         for primitives in trajectories:
             assert any(known[: len(primitives)] == tuple(primitives) for known in own)
-    few = replace_settings(recorded, episodes=2, to=tmp_path / "few")
+
+
+def test_seeds_of_splits_in_which_nothing_was_recorded_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A person plays a handful of games, which seldom fall into every split."""
+    rules = Rules(maximum_steps=12, catching=False)
+    few = CollectSettings(episodes=2, hider="random", seed=20, to=tmp_path / "few", workers=1, rules=rules)
     assert main(few) == 0
-    assert main(replace_settings(replayed, source=tmp_path / "few", to=tmp_path / "other")) == 2
-    assert "holds no trajectory of the splits" in capsys.readouterr().err
+    assert {split_of(seed) for seed in (20, 21)} == {0}
+    replayed = replace_settings(few, episodes=30, seed=20, hider="replay", source=tmp_path / "few", to=tmp_path / "replay")
+    assert main(replayed) == 0
+    assert "validation, test are left out" in capsys.readouterr().out
+    expected = [seed for seed in range(20, 100) if split_of(seed) == 0][:30]
+    assert expected[-1] > 20 + 30, "choose seeds that do not all fall into one split"
+    played = [game.episode.seed for game in episodes(read(tmp_path / "replay"))]
+    assert sorted(played) == expected
