@@ -22,7 +22,7 @@ export function listen(table) {
   addEventListener('keydown', (event) => {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
     if (document.querySelector('dialog[open]')) return;
-    if (event.target.closest('input, select, textarea')) return;
+    if (event.target.closest('input:not([type="range"]), select, textarea')) return;
     if (event.key === ' ' && event.target.closest('button')) return; // space presses a button
     for (const [keys, , , action] of table) {
       if (keys.includes(event.key.length === 1 ? event.key.toLowerCase() : event.key) && action() !== false) {

@@ -61,6 +61,7 @@ export class Predictions {
       text = `To ${nameOf(found.goal)}, ${own ? 'the hider’s goal' : 'your goal'}: ${worthOf(found.goal)}; predicted in `
         + `${(found.elapsed * 1000).toFixed(0)} ms.${own ? '' : ' True: on the way really driven.'}`;
     } else if (thePlan?.predictable) text = 'Click a coloured square in the arena.';
+    else if (thePlan) text = 'This plan was not heard from its beginning: goals can be clicked from the next game on.';
     else if (gameOn() && episode().players.hider === 'human') text = 'A person drives the hider: there is no plan to predict along.';
     else text = 'Waits for the plan of a game; then click a coloured square in the arena.';
     setText(this.title, text);
