@@ -153,7 +153,7 @@ def test_what_makes_no_sense_is_set_aside() -> None:
     with pytest.raises(Unexpected, match="late"):
         core.step(Arrived("tick", Tick(stamp=1, episode=2, step=9)), 1)
     with pytest.raises(Unexpected, match="episode 2"):
-        core.step(Arrived("episode", episode(number=2)), 1)
+        core.step(Arrived("episode", episode(number=2, phase="running")), 1)
     assert answer(core, second[1:])
 
 
