@@ -83,9 +83,9 @@ def export_log(
     count = 0
     with whole(target, force=force) as partial:
         with LogWriter(partial, metadata, viewer=translate) as writer:
-            for record in log.records():
-                if game is not None and not first <= record.log_time <= last:
-                    continue
+            for record in log.records(after=first - 1 if game is not None else -1):
+                if game is not None and record.log_time > last:
+                    break
                 count += 1
                 if count % 256 == 0:
                     progress("writing", (record.log_time - first) / max(last - first, 1))

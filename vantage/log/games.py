@@ -174,7 +174,8 @@ def steps_of(
     yield from ready()
     if place == len(games):
         return
-    for number, record in enumerate(log.records(keys)):
+    begin = min(game.first_time for game in games) - 1
+    for number, record in enumerate(log.records(keys, after=begin)):
         if number % 64 == 0:
             progress("writing", (record.log_time - first) / max(last - first, 1))
         try:

@@ -62,9 +62,9 @@ def write_recording(
         shown = _Shown(rerun, recording, looks)
         try:
             shown.begin()
-            for record in log.records():
-                if not first <= record.log_time <= last:
-                    continue
+            for record in log.records(after=first - 1):
+                if record.log_time > last:
+                    break
                 try:
                     message = record.decode()
                 except MalformedMessage:
