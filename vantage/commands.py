@@ -139,7 +139,8 @@ def up(settings: Up) -> int:
     folder = "" if settings.folder is None else f" --folder {settings.folder}"
     name = "" if settings.deployment == "simulation" else f" {settings.deployment}"
     where = f" --deployment{name}" if name else ""
-    steps = ((f"play --seed 7{where}", "play a game"), (f"status{name}", "how the services do"), (f"down{name}", "stop them"))
+    first = ("replay LOG", "play a log on it") if settings.deployment == "replay" else (f"play --seed 7{where}", "play a game")
+    steps = (first, (f"status{name}", "how the services do"), (f"down{name}", "stop them"))
     for words, meaning in steps:
         console.print(f"  {f'vantage {words}{folder}':<24} {meaning}", soft_wrap=True)
     console.print(f"recordings: {settings.logs}   runtime folder: {deployment.folder}", soft_wrap=True)

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from schemas import Message
+from schemas import Message, PredictRequest
 from tests.replay.games import MILLISECOND, ListedSource, game, recorded
 from vantage.log import LogWriter, Record
 from vantage.log.reader import find_logs
@@ -114,3 +115,15 @@ def test_what_holds_nothing_is_said(tmp_path: Path) -> None:
     write(tmp_path / "empty.mcap", [])
     with pytest.raises(ReplayError, match="it holds no message"):
         Recording(tmp_path / "empty.mcap")
+
+
+def test_the_planners_question_is_found_behind_a_viewers(tmp_path: Path) -> None:
+    """A page asks the predictor about single goals; who joins after a jump needs what the planner asked about all of them."""
+    question = PredictRequest(
+        stamp=1, episode=1, state_image=bytes(128 * 128), path_count=1, path_steps=2, paths=bytes(16), horizons=(1,)
+    )
+    of_viewer = msgspec.structs.replace(question, views=((0, 0),))
+    write(tmp_path / "run.mcap", made([("predictor/request", question), ("predictor/request", of_viewer), *game(1, 1, 3, "")]))
+    recording = Recording(*find_parts(tmp_path))
+    assert recording.latest(recording.end)["predictor/request"].decode() == question
+    recording.close()

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from schemas import Episode, MalformedMessage
+from schemas import Episode, MalformedMessage, PredictRequest, decode
 from vantage.log.file import Chunk, LogFile, first_metadata
 from vantage.log.metadata import PART, REPEATED, VIEWER_PREFIX
 from vantage.log.reader import Log, Record, find_logs, open_log
@@ -141,7 +141,7 @@ class Recording:
                 if not wanted:
                     continue
                 for id, sequence, log_time, publish_time, payload in file.messages_of(chunk):
-                    if id in wanted and log_time <= position:
+                    if id in wanted and log_time <= position and _says_how_it_stands(keys[id], payload):
                         known = found.get(keys[id])
                         if known is None or known.log_time < log_time:
                             channel = file.channels[id]
@@ -163,6 +163,16 @@ class Recording:
             for id in held
             if not file.channels[id].topic.startswith(VIEWER_PREFIX) and (first or REPEATED not in file.channels[id].metadata)
         }
+
+
+def _says_how_it_stands(key: str, payload: bytes) -> bool:
+    """Whether a message is of use to who joins after it: not a viewer's question about one goal, which hides the planner's."""
+    if key != "predictor/request":
+        return True
+    try:
+        return not decode(PredictRequest, payload).views
+    except MalformedMessage:
+        return False
 
 
 def find_parts(run: Path) -> list[Path]:
