@@ -19,8 +19,10 @@ VANTAGE = Path(sys.executable).parent / "vantage"
 def main() -> None:
     games = int(sys.argv[1]) if len(sys.argv) > 1 else 20
     # Made in another process: a child counts its parent's memory as its own peak.
-    make = f"from tests.log.exporting import real_log; print(real_log({games}, 100))"
-    log = Path(subprocess.run([sys.executable, "-c", make], capture_output=True, text=True, check=True, cwd=HERE).stdout.strip())
+    home = tempfile.TemporaryDirectory(prefix="vantage-export-")
+    log = Path(home.name) / "real.mcap"
+    make = f"from pathlib import Path; from tests.log.exporting import make_log; make_log(Path({home.name!r}), {games}, 100)"
+    subprocess.run([sys.executable, "-c", make], check=True, cwd=HERE)
     size = log.stat().st_size / 1e6
     print(f"{games} games of 100 steps, log {size:.0f} MB, {games * 100 * 192 / 1000:.0f} MB of pictures")
     for format in ("foxglove", "rerun", "lerobot", "video"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import atexit
+import shutil
 from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
@@ -21,8 +23,14 @@ PERSON = "Ada Lovelace"
 
 @cache
 def real_log(games: int = 3, steps: int = 12) -> Path:
-    """A log of real games with pictures, state images, plans with values, predictions and a person's name. Made once."""
+    """The log of `make_log`, made once and removed at the end."""
     folder = Path(mkdtemp(prefix="vantage-export-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    return make_log(folder, games, steps)
+
+
+def make_log(folder: Path, games: int, steps: int) -> Path:
+    """Make a log of real games with pictures, state images, plans with values, predictions and a person's name."""
     settings = CollectSettings(
         episodes=games,
         hider="goal-walk",
