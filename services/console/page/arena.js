@@ -154,7 +154,9 @@ export class Arena {
   }
 
   fieldOfView(context, robot, pose) {
-    const { field_of_view: field, camera_range: range, robot_colors: colors } = welcome();
+    const { field_of_view: usual, camera_range: range, robot_colors: colors } = welcome();
+    const picture = header(`${robot}/depth`); // says what its own camera sees
+    const field = picture ? 2 * Math.atan(picture.width / (2 * picture.intrinsics.fx)) : usual;
     const [width, depth] = this.size();
     this.trace(context, viewOf(pose, field, range ?? 100, header('layout')?.obstacles ?? [], width, depth));
     context.closePath();
