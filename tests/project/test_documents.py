@@ -10,7 +10,10 @@ import pytest
 from vantage import cli, drawing
 
 ROOT = Path(__file__).resolve().parents[2]
-PAGES = ("README.md", "docs/architecture.md", "docs/method.md", "docs/table.md", "docs/robot-protocol.md", "compose/README.md")
+PAGES = (
+    *("README.md", "docs/architecture.md", "docs/method.md", "docs/console.md", "docs/table.md", "docs/robot-protocol.md"),
+    "compose/README.md",
+)
 
 
 def test_the_committed_drawing_is_up_to_date() -> None:
