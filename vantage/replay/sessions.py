@@ -52,13 +52,14 @@ class Sessions:
         self._seen: set[str] = set()
         found = set(alive)
         try:
+            # First this one: another replay holds the name of the referee, too.
+            if not self._opened(REPLAY):
+                raise ReplayError(f"another replay is playing in {folder}: quit it first, or replay elsewhere (--folder)")
             if REFEREE in found or not self._opened(REFEREE):
                 raise ReplayError(
                     f"a referee is alive in {folder}, and a log must not be mixed into its games: stop it (`vantage down`), "
                     "or replay elsewhere (--folder)"
                 )
-            if not self._opened(REPLAY):
-                raise ReplayError(f"another replay is playing in {folder}: quit it first, or replay elsewhere (--folder)")
             self.cast: Cast = cast(publishers, found, without)
             while taken := [name for name in self.cast.sessions() if not self._opened(name)]:
                 found.update(taken)

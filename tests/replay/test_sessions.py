@@ -1,0 +1,33 @@
+"""The sessions of a replay on the bus."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from vantage.bus.zenoh_bus import ZenohBus
+from vantage.replay.sessions import Sessions
+from vantage.replay.trouble import ReplayError
+
+SAID = {("tick", "referee"), ("hider/pose", "simulator")}
+
+
+@pytest.fixture
+def folder() -> Iterator[Path]:
+    path = Path(tempfile.mkdtemp(prefix="v", dir="/tmp"))
+    yield path
+    shutil.rmtree(path, ignore_errors=True)
+
+
+def test_a_second_replay_and_a_live_referee_are_told_apart(folder: Path) -> None:
+    """Each holds the name of the referee."""
+    with Sessions(SAID, folder, "table", (), ()), pytest.raises(ReplayError, match=r"another replay is playing in .*: quit it"):
+        Sessions(SAID, folder, "table", (), ())
+    with ZenohBus("referee", folder), pytest.raises(ReplayError, match=r"a referee is alive in .*vantage down"):
+        Sessions(SAID, folder, "table", (), ())
+    with Sessions(SAID, folder, "table", (), ()):  # what failed left nothing behind
+        pass
