@@ -26,6 +26,8 @@ MEANINGS = {
     "q": "quit",
 }
 """What a key sends -> what it means; arrows in both modes that terminals have."""
+BACKGROUND_PERIOD = 0.2
+"""Seconds between two looks whether a replay in the background came back."""
 HELP = "space pause, ←/→ 5 s, ↑/↓ speed, n/p next/previous game, q quit"
 
 
@@ -44,8 +46,12 @@ def wishes_in(text: str) -> list[str]:
 
 @contextlib.contextmanager
 def keyboard(post: Callable[[str], None]) -> Iterator[bool]:
-    """While it lasts, call `post` with the meaning of each key typed, from a thread; yields whether there is a keyboard."""
-    if not sys.stdin.isatty():
+    """While it lasts, call `post` with the meaning of each key typed, from a thread; yields whether there is a keyboard.
+
+    A replay in the background (`vantage replay LOG &`) has none: the terminal's keys are the shell's, and the kernel stops who
+    touches it all the same.
+    """
+    if not sys.stdin.isatty() or _in_background(sys.stdin.fileno()):
         yield False
         return
     descriptor = sys.stdin.fileno()
@@ -57,6 +63,9 @@ def keyboard(post: Callable[[str], None]) -> Iterator[bool]:
             readable, _, _ = select.select([descriptor, stopping], [], [])
             if stopping in readable:
                 return
+            if _in_background(descriptor):  # put there by Ctrl-Z and `bg`
+                select.select([stopping], [], [], BACKGROUND_PERIOD)
+                continue
             data = os.read(descriptor, 64)
             if not data:
                 return
@@ -73,4 +82,12 @@ def keyboard(post: Callable[[str], None]) -> Iterator[bool]:
         thread.join(1.0)
         os.close(wake)
         os.close(stopping)
-        termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+        if not _in_background(descriptor):
+            termios.tcsetattr(descriptor, termios.TCSADRAIN, before)
+
+
+def _in_background(descriptor: int) -> bool:
+    try:
+        return os.tcgetpgrp(descriptor) != os.getpgrp()
+    except OSError:
+        return False  # a terminal, but not the one that this process is controlled from: nobody else reads it
