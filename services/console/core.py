@@ -302,7 +302,7 @@ class ConsoleCore:
             replayed=self._playback is not None,
             driven_elsewhere=self._human.episode is not None and self._session.driver not in (NOBODY, client),
             can_pause=self._is_on() or self._session.more_games,
-            paused=self._session.hold or self._session.pausing or self._pause_asked,
+            paused=self._session.paused or self._pause_asked,
             can_discard=self._score.knows(number) or self._is_on(number),
         )
 

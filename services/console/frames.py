@@ -61,10 +61,10 @@ def _shown(message: Message) -> tuple[dict[str, Any], bytes]:
         case Layout(width=width, depth=depth, obstacles=obstacles):
             return {"width": width, "depth": depth, "obstacles": obstacles}, b""
         case Episode():
-            return {
-                name: getattr(message, name)
-                for name in ("seed", "phase", "rules", "players", "outcome", "caught_step", "reason", "paused")
-            }, b""
+            shown = ("seed", "phase", "rules", "outcome", "caught_step", "reason", "paused")
+            # Whoever looks on need not know who plays: a name is for the log.
+            players = {"hider": message.players.hider, "seeker": message.players.seeker}
+            return {**{name: getattr(message, name) for name in shown}, "players": players}, b""
         case Plan():
             return {
                 name: getattr(message, name) for name in ("horizon", "checkpoint_interval", "values", "goal", "elapsed")

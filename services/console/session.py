@@ -16,7 +16,7 @@ class Session:
 
     Attributes:
         driver: client number of the page at the wheel, 0: nobody.
-        hold: whether the running game is paused.
+        hold: whether the game is paused: the referee's word.
         pausing: whether a pause was asked for that nobody took back.
     """
 
@@ -25,12 +25,12 @@ class Session:
         self.keys = Keys()
         self.hold = False
         self.pausing = False
-        self._human = False
-        self._person = ""
         self._asked = False
         self._wanted = 0
         self._played = 0
-        self._over = 0  # number of the last game counted
+        self._on = 0  # number of the game that is set up or running
+        self._over = 0  # number of the last game that is not to be counted again
+        self._waits = False  # the referee says of a game that is over that another one waits for `resume`
         self._last: dict[str, Any] | None = None
 
     def take_wheel(self, client: int) -> None:
@@ -41,23 +41,29 @@ class Session:
 
     @property
     def more_games(self) -> bool:
-        """Whether games are still to come."""
-        return self._asked and (self._wanted == 0 or self._played < self._wanted)
+        """Whether games are still to come, after the one that is on."""
+        if self._waits:
+            return True
+        begun = self._played + (self._on not in (0, self._over))
+        return self._asked and (self._wanted == 0 or begun < self._wanted)
+
+    @property
+    def paused(self) -> bool:
+        """Whether there is a pause that can be taken back."""
+        return self.hold or self.pausing
 
     def hear(self, control: Control) -> None:
         """Take in what somebody asked for, a page of ours or the command line."""
         if control.action in ("pause", "resume"):
             self.pausing = control.action == "pause"
-        elif control.action == "start":
-            self.pausing = False
-            self._asked, self._wanted, self._played = True, control.games, 0
-            self._human = control.players.hider == HUMAN
-            self._person = control.players.person
-            if not self._human:
+            # Between games the referee does not answer it.
+            self.hold = self.hold and (self.pausing or not self._waits)
+        elif control.action in ("start", "stop"):
+            self.pausing = self._waits = False
+            self._asked, self._wanted, self._played = control.action == "start", control.games, 0
+            self._over = self._on  # is aborted for this, and is none of these games
+            if control.action == "start" and control.players.hider != HUMAN:
                 self.take_wheel(NOBODY)
-        elif control.action == "stop":
-            self.pausing = False
-            self._asked = False
         elif control.action == "discard" and self._last is not None and self._last["episode"] == control.episode:
             self._last["discarded"] = True
 
@@ -66,27 +72,19 @@ class Session:
         if episode.paused != self.hold:
             self.keys.forget_taps()
         self.hold = episode.paused
-        self._human = episode.players.hider == HUMAN
-        self._person = episode.players.person
-        if episode.phase in ("ended", "aborted"):
+        over = episode.phase in ("ended", "aborted")
+        self._waits = over and episode.paused
+        self._on = 0 if over else episode.episode
+        if over:
             if episode.episode != self._over:
                 self._over = episode.episode
                 self._played += 1
-            outcome = episode.outcome if episode.phase == "ended" else "aborted"
-            self._last = {"episode": episode.episode, "outcome": outcome, "steps": episode.step, "discarded": discarded}
+            self._last = {"episode": episode.episode, "discarded": discarded}
         elif episode.phase == "setup":
             self._over = 0
             self.keys.forget_taps()
 
     def frame(self) -> bytes:
         """Return the frame `session`."""
-        fields = {
-            "driver": self.driver,
-            "human": self._human,
-            "person": self._person,
-            "games_played": self._played,
-            "games_wanted": self._wanted,
-            "hold": self.hold,
-            "last": self._last,
-        }
+        fields = {"driver": self.driver, "more_games": self.more_games, "paused": self.paused, "last": self._last}
         return frame("session", fields)

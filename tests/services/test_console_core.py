@@ -87,7 +87,7 @@ def test_a_page_is_shown_everything_that_is_said(table: Table) -> None:
     assert phases == ["setup", "running", "ended"]
     episode = table.header("episode")
     assert episode["rules"]["maximum_steps"] == STEPS
-    assert episode["players"] == {"hider": "planner", "seeker": "glancing", "person": ""}
+    assert episode["players"] == {"hider": "planner", "seeker": "glancing"}
     assert (episode["outcome"], episode["reason"]) == (table.of("episode")[-1].outcome, table.of("episode")[-1].reason)
     pose, shown_pose = table.of("hider/pose")[-1], table.header("hider/pose")
     assert (shown_pose["x"], shown_pose["y"], shown_pose["heading"]) == (pose.x, pose.y, pose.heading)
@@ -530,14 +530,14 @@ def test_a_game_is_paused_and_goes_on(table: Table) -> None:
     table.ask(requests.Pause())
     table.run(lambda: table.of("episode")[-1].paused)
     table.settle()
-    assert table.header("session")["hold"] is True
+    assert table.header("session")["paused"] is True
     table.run_for(2.0)
     ticks = len(table.of("tick"))
     table.run_for(3.0)
     assert len(table.of("tick")) == ticks
     table.ask(requests.Resume())
     table.run(lambda: len(table.of("tick")) > ticks + 2)
-    assert table.header("session")["hold"] is False
+    assert table.header("session")["paused"] is False
 
 
 def test_control_is_spoken_at_a_bounded_rate(table: Table) -> None:

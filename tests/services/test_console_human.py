@@ -159,24 +159,28 @@ def test_a_person_is_stored_only_if_one_is_given(table: Table) -> None:
     begin(table, person="  Ada \n Lovelace ")
     to_end(table, 2)
     assert table.of("episode")[-1].players.person == "Ada Lovelace"
-    assert table.header("session")["person"] == "Ada Lovelace"
+    assert not [header for header, _ in table.pages.seen[1] if "Lovelace" in str(header)]
 
 
 def test_a_session_of_several_games_with_one_taken_back(table: Table) -> None:
     begin(table, games=3, steps=4)
-    assert_session = table.header
     to_end(table)
-    session = assert_session("session")
-    assert (session["driver"], session["human"], session["games_played"], session["games_wanted"]) == (1, True, 1, 3)
+    session = table.header("session")
     first = table.of("episode")[-1]
-    assert session["last"] == {"episode": first.episode, "outcome": first.outcome, "steps": first.step, "discarded": False}
+    assert session | {"key": ""} == {
+        "key": "",
+        "driver": 1,
+        "more_games": True,
+        "paused": False,
+        "last": {"episode": first.episode, "discarded": False},
+    }
     table.ask(requests.Discard(episode=first.episode))
     table.settle()
     assert table.header("session")["last"]["discarded"] is True
     assert table.header("score")["discarded"] == 1
     to_end(table, 3)
     session = table.header("session")
-    assert (session["games_played"], session["last"]["discarded"]) == (3, False)
+    assert (session["more_games"], session["last"]["discarded"]) == (False, False)
     assert [episode.seed for episode in table.of("episode") if episode.phase == "setup"] == [5, 6, 7]
 
 
@@ -219,7 +223,7 @@ def test_when_the_driver_goes_the_robot_stays_and_the_game_is_paused_until_someb
     at = step_of(table)
     assert at <= 5
     assert all(command.primitive == "stay" for command in commands(table) if command.step > 3)
-    assert (table.header("session", 2)["driver"], table.header("session", 2)["hold"]) == (0, True)
+    assert (table.header("session", 2)["driver"], table.header("session", 2)["paused"]) == (0, True)
     table.run_for(20.0)
     assert step_of(table) == at
     assert [control.action for control in table.of("control")] == ["start", "pause"]
