@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from schemas import TOPICS, Episode, Layout, Message, Tick, decode
 from tests.replay.games import MALFORMED, MILLISECOND, UNKNOWN, WISH, ListedSource, game, recorded
 from vantage.log.reader import Record
-from vantage.replay.playback import BATCH, LAG, SECOND, SETTLE, Playback, Said
+from vantage.replay.playback import BATCH, LAG, SECOND, SETTLE, SILENCE, Playback, Said
 
 STEP = 10 * MILLISECOND
 LEFT_OUT = {"control"}
@@ -31,7 +31,10 @@ def content(record: Record) -> Message | None:
 
 def state_at(records: list[Record], position: int) -> list[tuple[str, Message]]:
     """What must be said after a jump, in any order but for the first: worked out from every record up to there."""
-    past = [(record.key, message) for record in records if record.log_time <= position and (message := content(record))]
+    reached = [record for record in records if record.log_time <= position]
+    silent = {record.key for record in reached if record.key.startswith("health/")}
+    silent -= {record.key for record in reached if position - record.log_time < SILENCE}
+    past = [(record.key, message) for record in reached if record.key not in silent and (message := content(record))]
     words = [message for _, message in past if isinstance(message, Episode)]
     numbers = [word.episode for word in words if word.phase == "setup" or word.episode not in {w.episode for w in words[:-1]}]
     if not words:

@@ -16,9 +16,9 @@ from tests.replay.games import MILLISECOND, ListedSource, game, recorded
 from tests.replay.test_recording import made, write
 from vantage.replay.display import Display, clock_text, line
 from vantage.replay.keys import wishes_in
-from vantage.replay.playback import SECOND, SETTLE, Said
+from vantage.replay.playback import SECOND, SETTLE, SILENCE, Said
 from vantage.replay.playback import Playback as Core
-from vantage.replay.playing import SILENCE, Player, Quit, obey
+from vantage.replay.playing import Player, Quit, obey
 
 VANTAGE = Path(sys.executable).parent / "vantage"
 
@@ -153,6 +153,18 @@ def test_while_the_log_stands_its_services_say_each_second_how_they_did() -> Non
     assert all(b - a >= SECOND for a, b in pairwise(times))
     # The planner had fallen silent: once the log goes on, that shows.
     assert max(times) <= 6 * SECOND + SILENCE
+
+
+@pytest.mark.parametrize(("position", "repeated"), [(1.5, True), (9.5, False)])
+def test_who_had_fallen_silent_does_not_come_alive_where_somebody_goes(position: float, repeated: bool) -> None:
+    health = ("health/planner", Health(stamp=1, service="planner", state="ok", process=7, uptime=1.0))
+    tick = ("tick", Tick(stamp=1, episode=1))
+    records = recorded([health, *[tick] * 12], [SECOND])
+    stage = Stage(Core(ListedSource(records), lambda key, publisher: True, 0, paused=True))
+    stage.wishes = [(SECOND // 2, Control(stamp=1, action="seek", position=position)), (8 * SECOND, "quit")]
+    stage.player.run()
+    times = [at for at in stage.health_times() if at > SECOND // 2]
+    assert len(times) >= 5 if repeated else not times
 
 
 @pytest.mark.parametrize(

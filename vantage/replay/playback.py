@@ -22,7 +22,7 @@ from schemas import FASTEST, SLOWEST, TOPICS, Episode, Layout, MalformedMessage,
 from schemas import Playback as PlaybackMessage
 from vantage.log.reader import Record
 from vantage.replay.log_clock import LogClock
-from vantage.replay.recording import Game
+from vantage.replay.recording import Game, Word
 
 SECOND = 1_000_000_000
 BATCH = 64
@@ -32,6 +32,8 @@ LAG = SECOND // 4
 SETTLE = SECOND * 3 // 20
 """ns of silence between a jump and the state: publishers are not ordered among each other, so what was said before dies down,
 and that there was a jump is known."""
+SILENCE = 5 * SECOND // 2
+"""ns of the log after which a service that says each second how it does was silent when it was recorded."""
 NOT_STATE = frozenset({"episode", "gap", "control"})
 """Topics whose latest message is not said after a jump: the episode is said by itself, the others are events."""
 
@@ -55,11 +57,12 @@ class Source(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """A message to publish, and who published it when it was recorded."""
+    """A message to publish, who published it when it was recorded, and when that was (log time, ns)."""
 
     key: str
     publisher: str
     message: Message
+    log_time: int
 
 
 class Playback:
@@ -99,7 +102,7 @@ class Playback:
         self._records: Iterator[Record] = iter(())
         self._next: Record | None = None
         self._starts = [game.start for game in source.games]
-        self._word: tuple[str, Episode] | None = None
+        self._word: Word | None = None
         self._step = 0
         self._state_due: int | None = None
         self.jumps = 0
@@ -230,12 +233,14 @@ class Playback:
             self._say_words(game, position, said)
         state: list[Said] = []
         for record in sorted(self._source.latest(position).values(), key=lambda record: record.log_time):
-            if record.key not in NOT_STATE:
+            # Who had fallen silent does not seem alive because somebody came here.
+            fresh = not record.key.startswith("health/") or position - record.log_time < SILENCE
+            if fresh and record.key not in NOT_STATE:
                 self._say(record, state, game)
         # The layout before all else: who plans at the first complete step may want it.
         said += sorted(state, key=lambda each: not isinstance(each.message, Layout))
-        if self._word is not None and self._word[1].phase != "running":
-            self._step = self._word[1].step
+        if self._word is not None and self._word.said.phase != "running":
+            self._step = self._word.said.step
         if self._paused:
             return said + self._game_stands(True)
         self._clock.run(now)
@@ -247,15 +252,15 @@ class Playback:
         first = words[0]
         setup = replace(first.said, phase="setup", step=0, paused=False)  # a log may begin within a game
         last = {word.said.phase: word for word in words}
-        chosen = [(first.publisher, setup)]
+        chosen = [Word(first.time, first.publisher, setup)]
         if "running" in last:
-            chosen.append((last["running"].publisher, last["running"].said))
+            chosen.append(last["running"])
         if words[-1].said.phase in ("ended", "aborted"):
-            chosen.append((words[-1].publisher, words[-1].said))
-        for publisher, episode in chosen:
-            if self._is_played("episode", publisher):
-                said.append(Said("episode", publisher, episode))
-                self._word = publisher, episode
+            chosen.append(words[-1])
+        for word in chosen:
+            if self._is_played("episode", word.publisher):
+                said.append(Said("episode", word.publisher, word.said, word.time))
+                self._word = word
 
     def _say(self, record: Record, said: list[Said], game: Game | None = None) -> None:
         """Add a message of the log if it can be said; with `game`, only if it belongs to that game or to none."""
@@ -272,11 +277,11 @@ class Playback:
         if game is not None and message.episode and (message.episode != game.number or record.log_time <= game.since):
             return
         if isinstance(message, Episode):
-            self._word = record.publisher, message
+            self._word = Word(record.log_time, record.publisher, message)
             self._step = message.step
         elif isinstance(message, Tick):
             self._step = message.step
-        said.append(Said(record.key, record.publisher, message))
+        said.append(Said(record.key, record.publisher, message, record.log_time))
 
     def _end(self, now: int) -> list[Said]:
         if self._loop and self._source.end > self._source.start:
@@ -292,7 +297,7 @@ class Playback:
 
     def _game_stands(self, paused: bool) -> list[Said]:
         """Let the referee say that the running game is paused, or what it said before."""
-        if self._word is None or self._word[1].phase != "running" or self._word[1].paused:
+        word = self._word
+        if word is None or word.said.phase != "running" or word.said.paused:
             return []
-        publisher, episode = self._word
-        return [Said("episode", publisher, replace(episode, step=self._step, paused=paused))]
+        return [Said("episode", word.publisher, replace(word.said, step=self._step, paused=paused), word.time)]

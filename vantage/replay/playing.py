@@ -10,12 +10,10 @@ from schemas import Control, Health, MalformedMessage, Message
 from schemas import Playback as PlaybackMessage
 from vantage.bus import Sample
 from vantage.replay.display import Display
-from vantage.replay.playback import SECOND, Playback, Said
+from vantage.replay.playback import SECOND, SILENCE, Playback, Said
 
 REPORT_PERIOD = SECOND // 2
 DISPLAY_PERIOD = SECOND // 10
-SILENCE = 5 * SECOND // 2
-"""ns of the log after which a service that says each second how it does was silent when it was recorded."""
 SKIP = 5.0
 """Seconds that an arrow key goes."""
 SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 100.0)
@@ -90,7 +88,7 @@ class Player:
         self._report_at = 0
         self._show_at = 0
         self._stopping = False
-        self._health: dict[str, tuple[Said, int, int]] = {}  # key -> last word, real time of saying it, the log's then
+        self._health: dict[str, tuple[Said, int]] = {}  # key -> last word, real time of saying it
         self._jumps = playback.jumps
 
     def stop(self) -> None:
@@ -112,7 +110,7 @@ class Player:
         for said in self._playback.turn(now):
             self._say(said)
             if isinstance(said.message, Health):
-                self._health[said.key] = said, now, self._playback.position(now)
+                self._health[said.key] = said, now
         self._report_if_due(now)
         wakes = [self._report_at, self._show_at, self._playback.wake_at(now)]
         wait = (min(wake for wake in wakes if wake is not None) - self._clock()) / SECOND
@@ -153,10 +151,10 @@ class Player:
             self._jumps = self._playback.jumps
             self._health.clear()
         position = self._playback.position(now)
-        for key, (said, told_at, log_time) in self._health.items():
-            if now - told_at >= SECOND and position - log_time < SILENCE:
+        for key, (said, told_at) in self._health.items():
+            if now - told_at >= SECOND and position - said.log_time < SILENCE:
                 self._say(said)
-                self._health[key] = said, now, log_time
+                self._health[key] = said, now
 
     def _report_if_due(self, now: int) -> None:
         playback, told = self._playback, self._reported
