@@ -171,7 +171,7 @@ def test_who_had_fallen_silent_does_not_come_alive_where_somebody_goes(position:
     ("words", "told"),
     [
         (("nowhere.mcap",), "no such log or folder"),
-        (("run.mcap", "--game", "7"), "has no game 7; there is: 1, 2, 3"),
+        (("run.mcap", "--game", "7"), "no game 7 in this log; there is: 1, 2, 3"),
         (("run.mcap", "--from", "1e6"), "s long"),
         (("run.mcap", "--speed", "1000"), "0.1 to 100"),
         (("run.mcap", "--without", "referee"), "a live one would play its own"),

@@ -20,9 +20,9 @@ from msgspec.structs import replace
 
 from schemas import FASTEST, SLOWEST, TOPICS, Episode, Layout, MalformedMessage, Message, Tick
 from schemas import Playback as PlaybackMessage
+from vantage.log.games import Game, Word
 from vantage.log.reader import Record
 from vantage.replay.log_clock import LogClock
-from vantage.replay.recording import Game, Word
 
 SECOND = 1_000_000_000
 BATCH = 64
