@@ -56,8 +56,8 @@ def _shown(message: Message) -> tuple[dict[str, Any], bytes]:
             return {"width": message.width, "height": message.height, "intrinsics": camera}, message.data
         case StateImage(other_x=x, other_y=y, data=data):
             return {"other_x": x, "other_y": y}, data
-        case Tick(late=late):
-            return {"late": late}, b""
+        case Tick():
+            return {}, b""
         case Layout(width=width, depth=depth, obstacles=obstacles):
             return {"width": width, "depth": depth, "obstacles": obstacles}, b""
         case Episode():

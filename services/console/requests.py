@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 from msgspec import Meta, Struct
@@ -20,6 +20,11 @@ PERSON_LIMIT = 80
 VIEWS_LIMIT = 64
 """Past views asked for at once."""
 
+Layout = Literal["random", "lab"]
+Seeker = Literal["glancing", "expert"]
+LAYOUTS: tuple[str, ...] = get_args(Layout)
+SEEKERS: tuple[str, ...] = get_args(Seeker)
+
 Episode = Annotated[int, Meta(ge=0, le=2**53)]
 Step = Annotated[int, Meta(ge=0, le=100_000)]
 Positive = Annotated[float, Meta(ge=0.0, le=1e9)]
@@ -35,9 +40,9 @@ class Start(Request, frozen=True, kw_only=True):
     seed: Annotated[int, Meta(ge=0, le=2**53)] = 1
     games: Annotated[int, Meta(ge=0, le=GAMES_LIMIT, description="0: until stopped")] = 1
     steps: Annotated[int, Meta(ge=1, le=STEPS_LIMIT)] = 100
-    layout: Literal["random", "lab"] = "random"
+    layout: Layout = "random"
     hider: Literal["planner", "human"] = "planner"
-    seeker: Literal["glancing", "expert"] = "glancing"
+    seeker: Seeker = "glancing"
     period: Annotated[float, Meta(ge=0.0, le=LONGEST_PERIOD, description="s a step; 0: as fast as the players answer")] = 0.25
     person: Annotated[str, Meta(max_length=PERSON_LIMIT, description="stored in the log if given")] = ""
 

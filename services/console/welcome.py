@@ -2,18 +2,18 @@
 
 from __future__ import annotations
 
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
+from services.console.prediction import HORIZONS
 from services.console.requests import (
     GAMES_LIMIT,
+    LAYOUTS,
     LONGEST_PERIOD,
-    MESSAGE_LIMIT,
     PERSON_LIMIT,
+    SEEKERS,
     SHORTEST_PERIOD,
     STEPS_LIMIT,
-    VIEWS_LIMIT,
 )
 from vantage.deployment import CONFIGURATION
 from vantage.perception.palette import PALETTE
@@ -35,28 +35,22 @@ def welcome(arena_name: str, deployment: str) -> dict[str, Any]:
         "arena": arena_name,
         "size": arena.ARENA_SIZE,
         "goals": arena.GOALS.round(3).tolist(),
+        "goal_spacing": arena.GOAL_SPACING,
         "robot_radius": arena.ROBOT_RADIUS,
         "catch_distance": arena.CATCH_DISTANCE,
         "field_of_view": Camera().horizontal_fov,
-        "camera_range": None,  # the simulator's camera sees as far as the walls
         "palette": PALETTE.tolist(),
         "palette_names": PALETTE_NAMES,
         "robot_colors": {"hider": arena.HIDER_COLOR, "seeker": arena.SEEKER_COLOR},
-        "surface_colors": {
-            "floor": arena.FLOOR_COLOR,
-            "wall": arena.WALL_COLOR,
-            "box": arena.BOX_COLOR,
-            "background": arena.BACKGROUND_COLOR,
-        },
+        "seekers": SEEKERS,
+        "layouts": LAYOUTS,
+        "horizons": HORIZONS,
         "limits": {
             "steps": STEPS_LIMIT,
             "games": GAMES_LIMIT,
             "person": PERSON_LIMIT,
             "period": (SHORTEST_PERIOD, LONGEST_PERIOD),
-            "views": VIEWS_LIMIT,
-            "message": MESSAGE_LIMIT,
         },
-        "version": metadata.version("vantage-hide-and-seek"),
     }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 from typing import Any
 
@@ -36,6 +37,7 @@ from services.console.reports import SILENCE
 from services.console.score import Score
 from services.planner.core import PlannerCore
 from services.predictor.core import PredictorCore
+from services.seeker.policy import PRESETS
 from tests.services.console_game import Table, health, parse
 from tests.stack.absurd import shaped
 from vantage.perception.palette import PALETTE
@@ -123,10 +125,19 @@ def test_the_welcome_says_what_a_page_needs_to_draw(table: Table) -> None:
     welcome = table.header("welcome")
     assert (welcome["client"], welcome["arena"], welcome["deployment"]) == (1, "table", "simulation")
     assert welcome["size"] == 1.2
-    assert len(welcome["goals"]) == GOAL_COUNT
-    assert welcome["palette"] == PALETTE.tolist()
-    assert len(welcome["palette_names"]) == len(PALETTE)
-    assert welcome["field_of_view"] == pytest.approx(1.501, abs=1e-3)
+    # What forms offer is what the server takes; and no more is said than the page reads.
+    for seeker in welcome["seekers"]:
+        for layout in welcome["layouts"]:
+            requests.decode_request(json.dumps({"type": "start", "seeker": seeker, "layout": layout}))
+    assert (len(welcome["seekers"]), len(welcome["layouts"]), welcome["horizons"]) == (2, 2, HORIZONS)
+    assert welcome["goals"][1][0] - welcome["goals"][0][0] == pytest.approx(welcome["goal_spacing"])
+    limits = welcome["limits"]
+    assert set(limits) == {"steps", "games", "person", "period"}
+    for name in ("steps", "games"):
+        requests.decode_request(json.dumps({"type": "start", name: limits[name]}))
+        with pytest.raises(requests.MalformedRequest):
+            requests.decode_request(json.dumps({"type": "start", name: limits[name] + 1}))
+    assert set(welcome["seekers"]) == set(PRESETS)
 
 
 def test_who_comes_late_sees_the_present_at_once_and_welcome_first(table: Table) -> None:
