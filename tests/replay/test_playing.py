@@ -175,6 +175,7 @@ def test_who_had_fallen_silent_does_not_come_alive_where_somebody_goes(position:
         (("run.mcap", "--from", "1e6"), "s long"),
         (("run.mcap", "--speed", "1000"), "0.1 to 100"),
         (("run.mcap", "--without", "referee"), "a live one would play its own"),
+        (("run.mcap", "--without", "planer"), "--without planer: there is no such service; there is: simulator, "),
         (("run.mcap", "--from", "1", "--game", "1"), "give one"),
         (("text.mcap",), "nothing to replay"),
     ],

@@ -1,4 +1,4 @@
-"""The sessions of a replay on the bus."""
+"""The sessions of a replay on the bus, and the deployment around them."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 
 from vantage.bus.zenoh_bus import ZenohBus
+from vantage.deployment import CONFIGURATION, Deployment, configuration_of, with_extra_arguments
+from vantage.replay.hosting import check_arena
 from vantage.replay.sessions import Sessions
 from vantage.replay.trouble import ReplayError
 
@@ -31,3 +33,13 @@ def test_a_second_replay_and_a_live_referee_are_told_apart(folder: Path) -> None
         Sessions(SAID, folder, "table", (), ())
     with Sessions(SAID, folder, "table", (), ()):  # what failed left nothing behind
         pass
+
+
+def test_a_deployment_of_another_arena_is_not_taken_for_the_one_around_the_replay(folder: Path) -> None:
+    text = configuration_of("replay").read_text()
+    (folder / CONFIGURATION).write_text(text)
+    check_arena(Deployment("replay", folder), "table")
+    with pytest.raises(ReplayError, match="belongs to the arena table, and would hear nothing"):
+        check_arena(Deployment("replay", folder), "lab")
+    (folder / CONFIGURATION).write_text(with_extra_arguments(text, dict.fromkeys(("predictor", "console"), "--arena lab")))
+    check_arena(Deployment("replay", folder), "lab")

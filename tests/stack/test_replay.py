@@ -283,10 +283,11 @@ def test_a_live_referee_is_left_alone(log: Path, folder: Path) -> None:
 def test_a_deployment_is_started_around_it_and_stopped(log: Path) -> None:
     home = Path(tempfile.mkdtemp(prefix="v", dir="/tmp"))
     try:
-        command = [VANTAGE, "replay", str(log), "--folder", str(home / "run"), "--once", "--speed", "20"]
+        command = [VANTAGE, "replay", str(log), "--folder", str(home / "run"), "--once", "--speed", "20", "--arena", "lab"]
         outcome = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=90, check=False)
         assert outcome.returncode == 0, outcome.stdout + outcome.stderr
-        assert "watch in a browser: http://" in outcome.stdout
+        assert "starting predictor and console" in outcome.stdout and "watch in a browser: http://" in outcome.stdout
+        # They are of the same arena, or nobody would be seen to be alive there.
         assert "predictor: played by the live predictor instead" in outcome.stdout
         assert not (home / "run" / "supervisor.sock").exists()
     finally:

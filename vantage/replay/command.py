@@ -16,14 +16,15 @@ from rich.console import Console
 from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn
 
-from schemas import FASTEST, SLOWEST
+from schemas import FASTEST, SERVICES, SLOWEST
 from vantage.bus import Alive
+from vantage.log.games import NoSuchGame, find_game
 from vantage.replay.display import Display, clock_text
 from vantage.replay.hosting import hosted
 from vantage.replay.keys import keyboard
 from vantage.replay.playback import SECOND, Playback
 from vantage.replay.playing import Player
-from vantage.replay.recording import MOST_LISTED, Recording, find_parts
+from vantage.replay.recording import Recording, find_parts
 from vantage.replay.sessions import REFEREE, Sessions
 from vantage.replay.trouble import ReplayError
 from vantage.service import steady_clock
@@ -52,7 +53,7 @@ class Settings:
     run: Run
     """The log: a file, the first part of several (NAME_000.mcap), or a folder with one log."""
     speed: float = 1.0
-    """Times as fast as it was recorded, 0.1 to 100."""
+    """Times as fast as it was recorded, 0.1 to 100. Near 0.1 steps are 2.5 s apart: live services may call their inputs stale."""
     from_: Annotated[float | None, tyro.conf.arg(name="from")] = None
     """Begin so many seconds after the log's first message."""
     game: int | None = None
@@ -84,7 +85,8 @@ def main(settings: Settings) -> int:
         position = _beginning(settings, recording)
         stopping = closing.enter_context(_stop_on_signals())
         try:
-            deployment, services = closing.enter_context(hosted(settings.folder, settings.start, settings.patience, console))
+            hosting = hosted(settings.folder, settings.arena, settings.start, settings.patience, console)
+            deployment, services = closing.enter_context(hosting)
             sessions = closing.enter_context(
                 Sessions(recording.publishers, deployment.folder, settings.arena, services, settings.without)
             )
@@ -138,13 +140,10 @@ def _open(run: Path) -> Recording:
 def _beginning(settings: Settings, recording: Recording) -> int | None:
     """Return the log time to begin at; None = before the first message."""
     if settings.game is not None:
-        found = next((game.start for game in recording.games if game.number == settings.game), None)
-        if found is None:
-            numbers = [str(game.number) for game in recording.games]
-            more = f" and {len(numbers) - MOST_LISTED} more" if len(numbers) > MOST_LISTED else ""
-            listed = ", ".join(numbers[:MOST_LISTED]) + more
-            raise ReplayError(f"{recording.name} has no game {settings.game}; there is: {listed or 'none'}")
-        return found
+        try:
+            return find_game(recording.games, settings.game).start
+        except NoSuchGame as error:
+            raise ReplayError(f"{recording.name}: {error}") from None
     if settings.from_ is None:
         return None
     duration = (recording.end - recording.start) / SECOND
@@ -160,6 +159,8 @@ def _check(settings: Settings) -> None:
         raise ReplayError("--from and --game both say where to begin: give one")
     if settings.once and settings.loop:
         raise ReplayError("--once ends at the end of the log, --loop never: give one")
+    if unknown := [name for name in settings.without if name not in SERVICES]:
+        raise ReplayError(f"--without {' '.join(unknown)}: there is no such service; there is: {', '.join(SERVICES)}")
     if REFEREE in settings.without:
         raise ReplayError("--without referee: the games of a log are the referee's; a live one would play its own among them")
 
