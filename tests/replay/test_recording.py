@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import struct
 from pathlib import Path
 
 import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.opcode import Opcode
+from mcap.writer import Writer
 
 from schemas import Message, PredictRequest
 from tests.replay.games import MILLISECOND, ListedSource, game, recorded
@@ -83,6 +86,45 @@ def test_of_a_log_cut_short_what_is_whole_is_found(tmp_path: Path) -> None:
         assert recording.latest(recording.end) == ListedSource(got).latest(recording.end)
         assert (recording.start, recording.end) == (got[0].log_time, got[-1].log_time)
         recording.close()
+
+
+def test_another_programs_log_cut_short_is_played_as_far_as_it_can_be_read(tmp_path: Path) -> None:
+    """It describes channels within its chunks, and repeats them in a summary that is cut off."""
+    records = made()
+    path = tmp_path / "foreign.mcap"
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=2000)
+        writer.start()
+        schema = writer.register_schema("message", "jsonschema", b"{}")
+        ids: dict[str, int] = {}
+        for record in records:
+            if record.key not in ids:
+                about = {"publisher": record.publisher}
+                ids[record.key] = writer.register_channel(record.key, "msgpack", schema, about)
+            writer.add_message(ids[record.key], record.log_time, record.payload, record.publish_time, record.sequence % 2**32)
+        writer.finish()
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) * 7 // 10])
+    recording = Recording(path)
+    got = list(recording.records(-1))
+    assert len(records) > len(got) > len(records) // 2 and got == records[: len(got)]
+    assert (recording.start, recording.end) == (got[0].log_time, got[-1].log_time)
+    assert recording.latest(recording.end) == ListedSource(got).latest(recording.end)
+    assert [each.number for each in recording.games][:2] == [1, 2] and ("tick", "referee") in recording.publishers
+    recording.close()
+
+
+def test_an_empty_chunk_is_no_beginning(tmp_path: Path) -> None:
+    write(tmp_path / "run.mcap", made())
+    data = (tmp_path / "run.mcap").read_bytes()
+    at = 8
+    while data[at] != Opcode.CHUNK:
+        at += 9 + int.from_bytes(data[at + 1 : at + 9], "little")
+    empty = struct.pack("<QQQIIQ", 0, 0, 0, 0, 0, 0)
+    (tmp_path / "run.mcap").write_bytes(data[:at] + struct.pack("<BQ", Opcode.CHUNK, len(empty)) + empty + data[at:])
+    recording = Recording(tmp_path / "run.mcap")
+    assert recording.start == made()[0].log_time
+    recording.close()
 
 
 def test_a_number_that_is_set_up_again_is_another_game() -> None:

@@ -91,6 +91,7 @@ class LogFile:
             self._map: mmap.mmap | bytes = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
         self._size = size
         self._scan()
+        self._learn_channels()
 
     def close(self) -> None:
         """Let go of the file."""
@@ -196,7 +197,6 @@ class LogFile:
         Args:
             after: only what was recorded later, ns; chunks that end before are not even decompressed.
         """
-        self._learn_channels()
         ids = {id for id, channel in self.channels.items() if wanted(channel)}
         waiting: list[RawMessage] = []
         for chunk in sorted((chunk for chunk in self.chunks if chunk.end > after), key=lambda chunk: chunk.start):
@@ -221,6 +221,8 @@ class LogFile:
     def _learn_channels(self) -> None:
         """Other programs describe a channel within the chunk that first uses it, which a file cut short repeats nowhere."""
         for chunk in self.chunks:
+            if chunk.compression is None:
+                continue  # in an unchunked file channels stand between the messages
             if chunk.channels is None or not chunk.channels <= self.channels.keys():
                 self.messages_of(chunk)
 

@@ -6,75 +6,17 @@ times and channels.
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 
-from schemas import Episode, MalformedMessage, PredictRequest, decode
-from vantage.log.file import Chunk, LogFile, first_metadata
-from vantage.log.metadata import PART, REPEATED, VIEWER_PREFIX
-from vantage.log.reader import Log, Record, find_logs, open_log
+from schemas import MalformedMessage, PredictRequest, decode
+from vantage.log.file import Chunk, LogFile
+from vantage.log.games import WORD_TOPICS, Game, games_of
+from vantage.log.metadata import REPEATED, VIEWER_PREFIX
+from vantage.log.reader import MOST_LISTED, Log, NoSuchLog, Record, open_log, parts_of
 from vantage.replay.trouble import ReplayError
 
-MOST_LISTED = 20
-"""Logs or games that an error lists."""
-
-
-@dataclass(frozen=True, slots=True)
-class Word:
-    """Something the referee said of a game, at a log time (ns)."""
-
-    time: int
-    publisher: str
-    said: Episode
-
-
-@dataclass(slots=True)
-class Game:
-    """One game of a log.
-
-    Attributes:
-        words: of the referee, in order; the first is the set-up, unless the log begins within the game.
-        since: log time after which messages of this number belong to this game and not to an earlier one, ns.
-    """
-
-    words: list[Word] = field(default_factory=list)
-    since: int = -1
-
-    @property
-    def number(self) -> int:
-        return self.words[0].said.episode
-
-    @property
-    def start(self) -> int:
-        """Log time of the first word, ns."""
-        return self.words[0].time
-
-
-def games_of(records: Iterator[Record]) -> list[Game]:
-    """Return the games that the referee speaks of, in the order of their first words.
-
-    A set-up begins a game, also one whose number was there before; a word on a number that was never set up does if that game
-    is running (the log begins within it).
-    """
-    games: list[Game] = []
-    latest: dict[int, Game] = {}
-    for record in records:
-        try:
-            said = record.decode()
-        except MalformedMessage:
-            continue
-        if not isinstance(said, Episode):
-            continue
-        word = Word(record.log_time, record.publisher, said)
-        if said.phase == "setup" or (said.phase == "running" and said.episode not in latest):
-            since = games[-1].words[-1].time if games else -1
-            games.append(Game([word], since))
-            latest[said.episode] = games[-1]
-        elif said.episode in latest:
-            latest[said.episode].words.append(word)
-    return games
+__all__ = ["MOST_LISTED", "Game", "Recording", "find_parts", "games_of"]
 
 
 class Recording:
@@ -83,7 +25,7 @@ class Recording:
     Attributes:
         name: of the log, for people.
         start, end: log times of the first and the last message, ns.
-        games: in order.
+        games: that can be joined, in order.
         publishers: the (key, publisher) pairs of the log.
     """
 
@@ -100,7 +42,8 @@ class Recording:
         """
         self.name = parts[0].stem
         self._log: Log = open_log(*parts)
-        times = [(chunk.start, chunk.end) for file in self._log.files for chunk in file.chunks if self._ids_in(file, chunk)]
+        chunks = [(file, chunk) for file in self._log.files for chunk in file.chunks if chunk.end]  # 0: it is empty
+        times = [(chunk.start, chunk.end) for file, chunk in chunks if self._ids_in(file, chunk)]
         self.start = min((start for start, _ in times), default=0)
         self.end = max((end for _, end in times), default=0)
         if not times:
@@ -109,11 +52,12 @@ class Recording:
             raise ReplayError(f"{parts[0]}: nothing to replay: {why}")
 
         def watched() -> Iterator[Record]:
-            for record in self._log.records({"episode"}):
+            for record in self._log.records(WORD_TOPICS):
                 progress((record.log_time - self.start) / max(self.end - self.start, 1))
                 yield record
 
-        self.games = games_of(watched())
+        # An end alone, of a game from before the log began, is nothing to jump to.
+        self.games = [game for game in games_of(watched()) if game.words[0].said.phase in ("setup", "running")]
         self.publishers = {
             (channel.topic, channel.metadata.get("publisher", ""))
             for file in self._log.files
@@ -181,27 +125,7 @@ def find_parts(run: Path) -> list[Path]:
     Raises:
         ReplayError: there is none, there are several, or it is a later part.
     """
-    if run.is_dir():
-        try:
-            logs = find_logs(run)
-        except FileNotFoundError as error:
-            raise ReplayError(str(error)) from None
-        if len(logs) > 1:
-            listed = "\n".join(f"  {parts[0]}  {_size(parts)}" for parts in logs[:MOST_LISTED])
-            more = f"\n  and {len(logs) - MOST_LISTED} more" if len(logs) > MOST_LISTED else ""
-            raise ReplayError(f"{run} holds {len(logs)} logs; name one of them:\n{listed}{more}")
-        return logs[0]
-    if not run.is_file():
-        raise ReplayError(f"{run}: there is no such log or folder")
-    part = re.fullmatch(r"(.+)_\d{3,}", run.stem)
-    if part is None or PART not in first_metadata(run):
-        return [run]
-    parts = sorted(path for path in run.parent.glob("*.mcap") if re.fullmatch(re.escape(part[1]) + r"_\d{3,}", path.stem))
-    if parts[0] != run:
-        raise ReplayError(f"{run.name} is part {parts.index(run) + 1} of a log: name its first part, {parts[0]}")
-    return parts
-
-
-def _size(parts: list[Path]) -> str:
-    size = f"{sum(path.stat().st_size for path in parts) / 1e6:.1f} MB"
-    return size if len(parts) == 1 else f"{size} in {len(parts)} parts"
+    try:
+        return parts_of(run)
+    except NoSuchLog as error:
+        raise ReplayError(str(error)) from None
