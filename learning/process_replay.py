@@ -130,6 +130,10 @@ def without_clock(message: Message) -> Message:
     return replace(message, **{name: 0 for name in CLOCK_FIELDS if name in names})
 
 
+MOST_HELD = 4096
+"""Records between a question and its answer; beyond, the answer is taken as lost."""
+
+
 class ProcessReplay:
     """Feeds a log's messages to a core and keeps what it says.
 
@@ -264,6 +268,32 @@ def pauses_as_heard(records: Iterable[Record]) -> Iterator[Record]:
     yield from held
 
 
+def answers_as_heard(records: Iterable[Record]) -> Iterator[Record]:
+    """Yield records with every answer to the planner before the plan that was made of it: the predictor first answers, and then
+    tells everybody that it did.
+    """
+    held: list[Record] = []  # a question of the planner's and what was published after it, up to the answer
+    for record in records:
+        if record.key == "predictor/reply" and held and not _asks_for_views(record):
+            place = next((place for place, other in enumerate(held) if other.key == "hider/plan"), len(held))
+            held.insert(place, record)
+        elif held or (record.key == "predictor/request" and not _asks_for_views(record)):
+            held.append(record)
+            if len(held) < MOST_HELD:
+                continue
+        else:
+            held.append(record)
+        yield from held
+        held = []
+    yield from held
+
+
+def _asks_for_views(record: Record) -> bool:
+    """Whether a question or an answer is of somebody who looks at single goals; the planner asks for no views."""
+    message = record.decode() if record.well_formed else None
+    return not isinstance(message, PredictRequest | PredictReply) or bool(message.views)
+
+
 def _action(record: Record) -> str:
     message = record.decode() if record.well_formed else None
     return message.action if isinstance(message, Control) else ""
@@ -280,7 +310,7 @@ def replay_service(path: Path, service: str) -> list[Comparison]:
     if not any(contents.has(key, service) for key in core.declaration.outputs if not key.startswith("health/")):
         return []
     replay = ProcessReplay(core)
-    for record in pauses_as_heard(in_order_of_publishing(read(path))):
+    for record in answers_as_heard(pauses_as_heard(in_order_of_publishing(read(path)))):
         replay.feed(record)
     return replay.compare()
 
