@@ -51,6 +51,8 @@ class LiveViewer:
     """A configuration of compose/, up."""
     folder: Path | None = None
     """Private runtime folder, as given to `vantage up`."""
+    arena: str = "table"
+    """Name of the arena on the bus."""
     host: str = "127.0.0.1"
     """Address to listen on. Anybody who reaches it can watch: the protocol knows no passwords."""
     port: Annotated[int, tyro.conf.arg(metavar="PORT")] = 8765
@@ -116,7 +118,7 @@ class Server:
         payload = sample.payload
         self._last[sample.key] = payload
         known = self._keys.get(sample.key)
-        if known and not any(self._channels[name].has_sinks() for name in known):
+        if known and not _lacking(sample.key, known) and not any(self._channels[name].has_sinks() for name in known):
             return
         for message in self._viewer.translate(sample.key, payload):
             self._keys.setdefault(sample.key, set()).add(message.topic)
@@ -151,6 +153,11 @@ class Server:
             )
             self._channels[message.topic] = channel
         return channel
+
+
+def _lacking(key: str, known: set[str]) -> bool:
+    """Whether a key may bring topics that it has not brought yet: a plan without a value map hides nothing of the next one's."""
+    return any(name.startswith(f"{key}/") and name not in known for name in _LIVE_TOPICS)
 
 
 class _Listener(foxglove.ServerListener):
@@ -196,7 +203,7 @@ def main(settings: LiveViewer) -> int:
     over = threading.Event()
     before = {number: signal.signal(number, lambda *_: over.set()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
-        with ZenohBus(f"foxglove-{os.getpid()}", deployment.folder) as bus:
+        with ZenohBus(f"foxglove-{os.getpid()}", deployment.folder, settings.arena) as bus:
             server = Server(settings.host, settings.port, bus.post, f"vantage {settings.deployment}")
             try:
                 layout = deployment.folder / f"foxglove{SUFFIX}"
@@ -204,13 +211,13 @@ def main(settings: LiveViewer) -> int:
                 _say(settings, server.port, layout)
                 # Raw: of what this process is too slow for, a bounded number of bytes waits.
                 bus.subscribe("**", raw=True)
-                serve(bus, server, over.is_set)
+                lost = serve(bus, server, over.is_set)
             finally:
                 server.stop()
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
-    console.print("closed")
+    console.print(f"closed; {lost} messages came too fast to be shown" if lost else "closed")
     return 0
 
 

@@ -12,8 +12,9 @@ from typing import Any
 
 import pytest
 from mcap_protobuf.decoder import DecoderFactory
+from msgspec.structs import replace
 
-from schemas import ColorImage, Episode, Intrinsics, Layout, Pose
+from schemas import GOAL_COUNT, ColorImage, Episode, Intrinsics, Layout, Plan, Pose
 from vantage.bus import InProcessNetwork, Sample
 from vantage.live_viewer import BACKLOG, LiveViewerError, Server, Subscribed
 
@@ -26,7 +27,7 @@ class Table:
     """A bus with a simulator and a referee on it, and the server listening; `pump` lets it take what came."""
 
     def __init__(self) -> None:
-        network = InProcessNetwork()
+        network = self.network = InProcessNetwork()
         self.simulator, self.referee = network.session("simulator"), network.session("referee")
         self.bus = network.session("foxglove-1")
         self.server = Server("127.0.0.1", 0, self.bus.post)
@@ -182,6 +183,20 @@ def test_what_nobody_looks_at_is_not_translated(table: Table, monkeypatch: pytes
     table.simulator.publish("hider/pose", pose(2))
     viewer.until(lambda: len(viewer.got) == 2)
     assert translated == ["hider/pose"]
+    viewer.close()
+
+
+def test_a_value_map_is_announced_also_after_a_plan_without_one(table: Table) -> None:
+    """Nobody looks at the first plan's path, and the next one's values must not be passed over for it."""
+    planner = table.network.session("planner")
+    plan = Plan(stamp=1, episode=1, horizon=1, path=bytes(24))
+    planner.publish("hider/plan", plan)
+    table.pump()
+    planner.publish("hider/plan", replace(plan, stamp=2, values=(0.5,) * GOAL_COUNT, goal=3))
+    table.pump()
+    viewer = Foxglove(table)
+    viewer.subscribe("viewer/hider/plan/values", "viewer/hider/plan/picture")
+    viewer.until(lambda: len({topic for topic, _ in viewer.got}) == 2)
     viewer.close()
 
 
