@@ -153,6 +153,11 @@ class Deployment:
         self.name = name
         self.folder = (folder or default_folder(name)).absolute()
 
+    def command(self, word: str) -> str:
+        """Return what to type to do something with this deployment, in this folder: `vantage down simulation`."""
+        elsewhere = "" if self.folder == default_folder(self.name) else f" --folder {self.folder}"
+        return f"vantage {word} {self.name}{elsewhere}"
+
     @property
     def programs(self) -> dict[str, Program]:
         """The process table in force: of the running deployment, else of `compose/`."""
@@ -172,7 +177,7 @@ class Deployment:
         text = with_extra_arguments(configuration_of(self.name).read_text(), extra)
         self._make_folder()
         if self.is_running():
-            raise DeploymentError(f"{self.name} is up already in {self.folder}: stop it with `vantage down {self.name}`")
+            raise DeploymentError(f"{self.name} is up already in {self.folder}: stop it with `{self.command('down')}`")
         self._clear_folder()
         recordings.mkdir(parents=True, exist_ok=True)
         (self.folder / "recordings").symlink_to(recordings.absolute())
@@ -235,7 +240,7 @@ class Deployment:
         try:
             rows: list[dict[str, Any]] = self._supervisor().getAllProcessInfo()
         except (OSError, xmlrpc.client.Error) as error:
-            raise DeploymentError(f"{self.name} is not up in {self.folder}: start it with `vantage up {self.name}`") from error
+            raise DeploymentError(f"{self.name} is not up in {self.folder}: start it with `{self.command('up')}`") from error
         starts = self._starts()
         order = {name: place for place, name in enumerate(self.programs)}
         return sorted(

@@ -103,7 +103,7 @@ class Match:
         """Take in one event, and ask (again) where no game is under way. Returns whether there was an event.
 
         Raises:
-            DeploymentError: the referee sets no game up.
+            DeploymentError: the referee sets no game up, or a log is being replayed.
         """
         now = time.monotonic()
         if self.current is None and not self.over:
@@ -125,6 +125,8 @@ class Match:
         return event is not None
 
     def _take(self, event: Event) -> None:
+        if isinstance(event, Alive) and event.name == "replay" and event.alive:
+            raise DeploymentError("a log is being replayed here, and its games are not yours: end the replay, or play elsewhere")
         if isinstance(event, Alive) and event.name == "referee" and not event.alive:
             if self.current is not None:
                 self._finish(msgspec.structs.replace(self.current, phase="aborted", step=self.step, reason="the referee died"))
@@ -238,7 +240,7 @@ def main(settings: Settings) -> int:
     ask = wish(settings.seed, settings.games, rules, Players(hider=settings.hider, seeker=settings.seeker))
     deployment = _find(settings)
     if not deployment.folder.is_dir():
-        raise DeploymentError(f"{deployment.name} is not up in {deployment.folder}: start it with `vantage up {deployment.name}`")
+        raise DeploymentError(f"{deployment.name} is not up in {deployment.folder}: start it with `{deployment.command('up')}`")
     with ZenohBus("command-line", deployment.folder, settings.arena) as bus:
         games = play(bus, ask)
     return 1 if any(game.episode.phase == "aborted" for game in games) else 0

@@ -16,6 +16,7 @@ from learning.splits import SPLITS, split_of
 from schemas import PRIMITIVES
 from vantage.log import find_logs, open_log
 from vantage.log.episodes import EpisodeLog, games_of
+from vantage.log.games import unfinished
 from vantage.log.reader import BrokenLog
 from vantage.world.arena import STAY
 
@@ -104,8 +105,7 @@ def executed_primitives(game: EpisodeLog) -> NDArray[np.int64] | None:
 
 def _unusable(game: EpisodeLog, primitives: NDArray[np.int64] | None) -> str:
     """Return why a game's trajectory is not to be replayed, or nothing."""
-    if game.discarded:
-        return "discarded by the player"
-    if game.episode.phase != "ended":
-        return "aborted or not finished"
-    return "with commands missing" if primitives is None else ""
+    if reason := unfinished(game):
+        return reason
+    # A recorder that was started again hears the last words on earlier games, but not how they went.
+    return "not recorded whole" if primitives is None or game.steps < game.episode.step else ""

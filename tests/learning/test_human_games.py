@@ -28,7 +28,7 @@ from services.planner.core import PlannerCore
 from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore
-from tests.log.making import write_log
+from tests.log.making import records_of, write_log
 from vantage.log import LogWriter, Record, open_log, read
 from vantage.log.episodes import EpisodeLog, episodes, games_of
 from vantage.service import SECOND, Arrived, Core, Declaration, Publish, Received, Send, Woken
@@ -324,3 +324,17 @@ def test_the_catch_of_a_human_game_follows_from_its_poses(log: Path) -> None:
         ]
         near = [step for step, distance in enumerate(distances, 1) if distance <= 0.150 + CATCH_TOLERANCE]
         assert near == ([] if game.episode.caught_step is None else [game.episode.caught_step])
+
+
+def test_games_of_which_only_the_end_is_on_the_log_are_no_trajectories(tmp_path: Path) -> None:
+    """A recorder that was started again gets the last words on earlier games from the publishers' caches, and no steps."""
+    players = Players(hider="human")
+    words = [
+        Episode(stamp=stamp, episode=1, seed=3, phase=phase, step=step, players=players, outcome="survived")
+        for stamp, (phase, step) in enumerate((("setup", 0), ("running", 0), ("ended", 9)))
+    ]
+    path = tmp_path / "run.mcap"
+    write_log(path, records_of([("episode", word) for word in words]))
+    found = read_trajectories(path, "human")
+    assert not any(found.by_split)
+    assert found.left_out == {"not recorded whole": 1}

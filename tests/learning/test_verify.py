@@ -8,12 +8,12 @@ import pytest
 from msgspec.structs import replace
 
 from learning.collect import CollectSettings, play_block
-from learning.process_replay import ProcessReplay, replay_service
-from learning.verify import VerifySettings, check_game, main
-from schemas import GOAL_COUNT, Command, Message, PredictReply, PredictRequest, Rules, encode
+from learning.process_replay import ProcessReplay, answers_as_heard, replay_service
+from learning.verify import VerifySettings, check, check_game, main
+from schemas import GOAL_COUNT, Command, Message, Plan, PredictReply, PredictRequest, Rules, Tick, encode
 from services.simulator.core import SimulatorSettings
 from tests.log.making import records_of, write_log
-from vantage.log import LogWriter, Record, read
+from vantage.log import LogWriter, Record, open_log, read
 from vantage.log.episodes import EpisodeLog, episodes
 from vantage.service import Answered, Ask, Changed, Declaration, Received, Send
 from vantage.world.camera import Camera
@@ -174,8 +174,71 @@ class Asking:
         return [Ask("predictor", self._question, 1.0, 1)] if isinstance(received, Changed) else ()
 
 
+def test_the_planner_had_its_answer_before_the_predictor_told_everybody() -> None:
+    """The predictor answers first and publishes the answer then; on a busy machine plan and next tick come between."""
+    state = {"state_image": bytes(128 * 128), "path_count": 1, "path_steps": 2, "paths": bytes(16), "horizons": (1,)}
+    question = PredictRequest(stamp=1, episode=1, **state)
+    of_viewer = PredictRequest(stamp=1, episode=1, **state, views=((0, 0),))
+    answer = PredictReply(stamp=1, episode=1, caught=bytes(4))
+    to_viewer = replace(answer, views=(bytes(3 * 128 * 128),))
+    said = [
+        ("predictor/reply", to_viewer),  # of a question before
+        ("predictor/request", question),
+        ("predictor/request", of_viewer),
+        ("predictor/reply", to_viewer),
+        ("hider/plan", Plan(stamp=1, episode=1, horizon=2)),
+        ("tick", Tick(stamp=2, episode=1, step=1)),
+        ("predictor/reply", answer),
+        ("tick", Tick(stamp=3, episode=1, step=2)),
+        ("predictor/request", question),  # never answered
+    ]
+    records = [Record(key, "", place, place, place, encode(message)) for place, (key, message) in enumerate(said)]
+    assert [record.sequence for record in answers_as_heard(records)] == [0, 1, 2, 3, 6, 4, 5, 7, 8]
+
+
 def test_a_log_without_a_game_is_not_good(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with LogWriter(tmp_path / "empty.mcap", {}, sync=False):
         pass
     assert main(VerifySettings(tmp_path / "empty.mcap")) == 1
     assert "holds none" in capsys.readouterr().out
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_damaged_log_is_not_good(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Also where nothing that a check of the games reads is damaged: the viewers' channels."""
+    with open_log(log) as whole:
+        (file,) = whole.files
+        chunks = {
+            viewer: next(chunk for chunk in file.chunks if viewer == all(id in of_viewers for id in chunk.channels or ()))
+            for of_viewers in [{id for id, channel in file.channels.items() if channel.topic.startswith("viewer/")}]
+            for viewer in (True, False)
+            if viewer in {all(id in of_viewers for id in chunk.channels or ()) for chunk in file.chunks}
+        }
+    for chunk in chunks.values():
+        data = bytearray(log.read_bytes())
+        data[chunk.offset + chunk.length // 2] ^= 0xFF
+        (tmp_path / "damaged.mcap").write_bytes(data)
+        assert main(VerifySettings(tmp_path / "damaged.mcap")) == 1
+        shown = capsys.readouterr()
+        assert "damaged chunk at byte" in shown.out and shown.err == ""
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_log_that_is_not_closed_is_not_good(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Its messages are all there, and a recorder may be writing it."""
+    with open_log(log) as whole:
+        last = max(chunk.offset + chunk.length for chunk in whole.files[0].chunks)
+    (tmp_path / "cut.mcap").write_bytes(log.read_bytes()[:last])
+    findings = check(tmp_path / "cut.mcap")
+    wrong = [finding for finding in findings if finding.good is False]
+    assert [finding.what for finding in wrong] == ["cut.mcap reads", "cut.mcap was closed"]
+    assert "breaks off at byte" in wrong[0].detail and "still being written" in wrong[1].detail
+    assert main(VerifySettings(tmp_path / "cut.mcap")) == 1
+    assert capsys.readouterr().err == ""
+
+
+def test_what_takes_long_tells_how_far_it_is(log: Path) -> None:
+    told: list[tuple[str, float]] = []
+    check(log, lambda what, part: told.append((what, part)))
+    assert list(dict.fromkeys(what for what, _ in told)) == ["reading every byte", "reading the games", "replaying the services"]
+    assert all(0.0 <= part <= 1.0 for _, part in told) and {part for what, part in told if part == 1.0}

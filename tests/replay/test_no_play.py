@@ -1,0 +1,22 @@
+"""Who asks for games where a log is replayed is told so, and not the log's games as if they were theirs."""
+
+from __future__ import annotations
+
+import time
+
+import pytest
+
+from tests.stack.table import wish
+from vantage.bus import InProcessNetwork
+from vantage.deployment import DeploymentError
+from vantage.play import Match
+
+
+def test_no_games_are_played_in_a_replay() -> None:
+    network = InProcessNetwork()
+    network.session("replay").watch()
+    match = Match(network.session("command-line"), wish(seed=1, games=1, steps=5, period=0.1))
+    deadline = time.monotonic() + 5
+    with pytest.raises(DeploymentError, match="being replayed"):
+        while time.monotonic() < deadline:
+            match.turn(0.01)
