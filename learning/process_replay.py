@@ -11,7 +11,7 @@ from __future__ import annotations
 import heapq
 import math
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import dataclass, field
 from dataclasses import replace as with_changes
 from pathlib import Path
@@ -299,22 +299,33 @@ def _action(record: Record) -> str:
     return message.action if isinstance(message, Control) else ""
 
 
+def replay_services(contents: Contents, records: Iterable[Record], services: Collection[str]) -> dict[str, list[Comparison]]:
+    """Replay a log's records through services, all at once; nothing for one of which the log holds nothing (`why_silent`).
+
+    Raises:
+        KeyError: a service cannot be replayed.
+    """
+    cores = {service: replayable()[service](contents) for service in services}
+    replays = {
+        service: ProcessReplay(core)
+        for service, core in cores.items()
+        if any(contents.has(key, service) for key in core.declaration.outputs if not key.startswith("health/"))
+    }
+    for record in answers_as_heard(pauses_as_heard(in_order_of_publishing(records))):
+        for replay in replays.values():
+            replay.feed(record)
+    return {service: replays[service].compare() if service in replays else [] for service in cores}
+
+
 def replay_service(path: Path, service: str) -> list[Comparison]:
     """Replay a log through one service; nothing where the log holds nothing that it said (`why_silent`).
 
     Raises:
         KeyError: the service cannot be replayed.
     """
-    contents = contents_of(path)
-    core = replayable()[service](contents)
-    if not any(contents.has(key, service) for key in core.declaration.outputs if not key.startswith("health/")):
-        return []
-    replay = ProcessReplay(core)
-    for record in answers_as_heard(pauses_as_heard(in_order_of_publishing(read(path)))):
-        replay.feed(record)
-    return replay.compare()
+    return replay_services(contents_of(path), read(path), [service])[service]
 
 
-def why_silent(path: Path, service: str) -> str:
+def why_silent(contents: Contents, service: str) -> str:
     """Return, for people, why a log holds nothing that a service said in a game."""
-    return "no game of its own" if contents_of(path).has(f"health/{service}", service) else "not recorded with"
+    return "no game of its own" if contents.has(f"health/{service}", service) else "not recorded with"

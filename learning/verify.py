@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Self
 
 import tyro
 from rich.console import Console
+from rich.markup import escape
+from rich.progress import BarColumn, Progress, TextColumn
 from rich.table import Table
 
-from learning.process_replay import replay_service, replayable, why_silent
+from learning.process_replay import contents_of, replay_services, replayable, why_silent
 from schemas import GOAL_COUNT, ROBOTS
 from vantage.log import find_logs, open_log
 from vantage.log.episodes import EpisodeLog, games_of
+from vantage.log.reader import Log, Record
 from vantage.world.arena import CATCH_TOLERANCE
+
+UNFINISHED = "it is still being written, or was cut short: wait, or see `vantage log recover`"
 
 
 @dataclass(frozen=True)
@@ -82,23 +88,86 @@ def recomputed_outcome(game: EpisodeLog) -> tuple[str, int | None]:
     return ("survived" if game.steps >= rules.maximum_steps else "undecided"), None
 
 
-def main(settings: VerifySettings) -> int:
-    """Print what holds; 0 if all does."""
+class WatchedLog(Log):
+    """A log that tells how far it has been read."""
+
+    def watch(self, told: Callable[[float], None]) -> Self:
+        """Call `told` with the part that has been read, 0..1, from now on."""
+        self._told = told
+        return self
+
+    def records(self, topics: Collection[str] | None = None, viewer: bool = False, after: int = -1) -> Iterator[Record]:
+        """Yield the messages; see `Log.records`."""
+        chunks = [chunk for file in self.files for chunk in file.chunks if chunk.end]
+        start = min((chunk.start for chunk in chunks), default=0)
+        duration = max(max((chunk.end for chunk in chunks), default=0) - start, 1)
+        for record in super().records(topics, viewer, after):
+            self._told((record.log_time - start) / duration)
+            yield record
+
+
+def check_whole(log: Log, told: Callable[[float], None]) -> list[Finding]:
+    """Return whether every byte of a log reads, also those that no check of its games needs."""
     findings = []
-    for parts in find_logs(settings.log):
-        with open_log(*parts) as log:
-            findings += [finding for game in games_of(log) for finding in check_game(game)]
-    if not findings:
-        findings.append(Finding("a game", False, "the log holds none"))
-    for service in replayable():
-        comparisons = replay_service(settings.log, service)
+    total, done = max(sum(chunk.length for file in log.files for chunk in file.chunks), 1), 0
+    for file in log.files:
+        for chunk in file.chunks:
+            file.messages_of(chunk)
+            done += chunk.length
+            told(done / total)
+        findings += [Finding(f"{file.path.name} reads", False, text) for text in file.breaks]
+        if not file.finished:
+            findings.append(Finding(f"{file.path.name} was closed", False, UNFINISHED))
+    return findings or [Finding("the log is whole", True, f"{len(log.files)} file{'s' * (len(log.files) > 1)}")]
+
+
+def check(path: Path, told: Callable[[str, float], None] = lambda what, part: None) -> list[Finding]:
+    """Return all that holds of a log, or of the logs in a folder.
+
+    Args:
+        told: what is under way, and how much of it is done, 0..1.
+
+    Raises:
+        FileNotFoundError: there is no log.
+    """
+    logs = find_logs(path)
+    whole: list[Finding] = []
+    games: list[Finding] = []
+
+    def say(what: str, place: int) -> Callable[[float], None]:
+        return lambda part: told(what, (place + part) / len(logs))
+
+    for place, parts in enumerate(logs):
+        with WatchedLog(open_log(*parts).files).watch(say("reading the games", place)) as log:
+            whole += check_whole(log, say("reading every byte", place))
+            games += [finding for game in games_of(log) for finding in check_game(game)]
+    findings = [*whole, *(games or [Finding("a game", False, "the log holds none")])]
+
+    def records() -> Iterator[Record]:
+        for place, parts in enumerate(logs):
+            with WatchedLog(open_log(*parts).files).watch(say("replaying the services", place)) as log:
+                yield from log.records()
+
+    contents = contents_of(path)
+    for service, comparisons in replay_services(contents, records(), replayable()).items():
         if not comparisons:
-            findings.append(Finding(f"replay: {service}", None, why_silent(settings.log, service)))
+            findings.append(Finding(f"replay: {service}", None, why_silent(contents, service)))
         for comparison in comparisons:
             detail = "; ".join(comparison.differences) or f"{comparison.compared} messages, all the same"
             findings.append(Finding(f"replay: {comparison.key} by {service}", not comparison.differences, detail))
+    return findings
+
+
+def main(settings: VerifySettings) -> int:
+    """Print what holds; 0 if all does."""
+    console = Console(highlight=False)
+    columns = (TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:.0f} %"))
+    with Progress(*columns, console=console, transient=True) as progress:
+        bar = progress.add_task("", total=1.0)
+        findings = check(settings.log, lambda what, part: progress.update(bar, description=what, completed=part))
     table = Table("", "checked", "found")
     for finding in findings:
-        table.add_row({True: "ok", False: "[red]NO[/red]", None: "-"}[finding.good], finding.what, finding.detail)
-    Console(highlight=False).print(table)
+        sign = {True: "ok", False: "[red]NO[/red]", None: "-"}[finding.good]
+        table.add_row(sign, escape(finding.what), escape(finding.detail))
+    console.print(table)
     return 1 if any(finding.good is False for finding in findings) else 0
