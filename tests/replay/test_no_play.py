@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import time
-
 import pytest
 
 from tests.stack.table import wish
@@ -16,7 +14,10 @@ def test_no_games_are_played_in_a_replay() -> None:
     network = InProcessNetwork()
     network.session("replay").watch()
     match = Match(network.session("command-line"), wish(seed=1, games=1, steps=5, period=0.1))
-    deadline = time.monotonic() + 5
     with pytest.raises(DeploymentError, match="being replayed"):
-        while time.monotonic() < deadline:
-            match.turn(0.01)
+        take_everything(match)
+
+
+def take_everything(match: Match) -> None:
+    while match.turn(0.0):
+        pass
