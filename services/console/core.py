@@ -11,20 +11,23 @@ from services.console.declaration import DECLARATION
 from services.console.driven import Driven
 from services.console.events import PAGE, PageEvent, Refusals
 from services.console.frames import ALL, addressed, frame, frame_of, notice
-from services.console.human import HEARD, HUMAN, Complete, HumanHider, answer
+from services.console.human import HEARD, HUMAN
 from services.console.past import PastViews
 from services.console.prediction import Predictions
-from services.console.rate import Rate
+from services.console.rate import Shares
 from services.console.refused import RefusedLately
 from services.console.reports import Reports
 from services.console.score import Score
-from services.console.session import NOBODY, Session
+from services.console.session import Session
+from services.console.wheel import NOBODY, Wheel
 from vantage.service import SECOND, Answered, Arrived, Captured, Publish, Received, Send, Woken, Write
 
-CONTROLS_A_SECOND, CONTROLS_BURST = 8.0, 16.0
-"""Messages to `control` for all pages together."""
-GRACE = SECOND
-"""ns in which a game of a human that nobody at our pages drives may turn out to be a replay, or somebody take the wheel."""
+OWN_CONTROLS = 4.0, 8.0
+"""Messages to `control` for one page: a second, and at once."""
+ALL_CONTROLS = 8.0, 16.0
+"""For all pages together, but for what holds the robots (stop, pause): no page can keep another one from that."""
+BACK = 0.1
+"""s by which the position of one replay never goes back by itself."""
 
 
 class ConsoleCore:
@@ -39,7 +42,7 @@ class ConsoleCore:
     def __init__(self, about: Mapping[str, Any]) -> None:
         self._about = dict(about)
         self._clients: set[int] = set()
-        self._controls = Rate(CONTROLS_A_SECOND, CONTROLS_BURST)
+        self._controls = Shares(OWN_CONTROLS, ALL_CONTROLS)
         self._refused = RefusedLately()
         self._reports = Reports()
         self._next_second = 0
@@ -52,10 +55,7 @@ class ConsoleCore:
         self._latest: dict[str, Message] = {}
         self._playback: Playback | None = None
         self._episode: Episode | None = None
-        self._human = HumanHider()
-        self._unanswered: Complete | None = None
-        self._grace_until: int | None = None
-        self._pause_asked = False
+        self._wheel = Wheel()
         self._past = PastViews()
         self._driven_paths = Driven()
         self._predictions.forget()
@@ -69,9 +69,8 @@ class ConsoleCore:
         return "; ".join(text for text in (self._without_server, self._refused.trouble) if text)
 
     def wake_at(self) -> int | None:
-        if self._grace_until is None or self._human.episode is None or self._driven:
-            return self._next_second
-        return min(self._next_second, self._grace_until)
+        wheel = self._wheel.wake_at()
+        return self._next_second if wheel is None else min(self._next_second, wheel)
 
     def step(self, received: Received, now: int) -> Sequence[Send]:
         sends: list[Send] = []
@@ -83,7 +82,7 @@ class ConsoleCore:
             sends += self._predictions.answered(received.token, received.reply, received.error)
         elif isinstance(received, Woken):
             sends += self._on_time(now)
-        sends += self._mind_the_wheel(now)
+        sends += self._wheel.mind(now)
         if self._stale and self._clients:
             sends += [_to(ALL, self._own[key](now)) for key in sorted(self._stale)]
             self._stale.clear()
@@ -96,7 +95,7 @@ class ConsoleCore:
             "services": self._reports.frame,
             "recording": self._reports.recording,
             "score": lambda _: self._score.frame(),
-            "session": lambda _: self._session.frame(),
+            "session": lambda _: self._session.frame(self._wheel.driver),
         }
 
     # What the bus says
@@ -114,22 +113,20 @@ class ConsoleCore:
         if isinstance(message, PredictRequest):
             changed = self._predictions.see_request(message)
             return self._show("hider/plan") if changed else []
-        sends: list[Send] = []
         if isinstance(message, Playback):
             return self._on_playback(message)
         self._latest[key] = message
         if isinstance(message, Episode):
-            sends += self._on_episode(message, now)
+            self._on_episode(message, now)
         elif isinstance(message, Plan):
             self._predictions.see_plan(message)
         elif isinstance(message, Pose):
             self._driven_paths.add(key.partition("/")[0], message)
         elif isinstance(message, StateImage) and key == "seeker/view":
             self._past.add(message)
-        sends += self._show(key)
         if key in HEARD and self._playback is None:
-            sends += self._on_step(self._human.add(key, message), now)
-        return sends
+            self._wheel.add(key, message)
+        return self._show(key)
 
     def _show(self, key: str) -> list[Send]:
         return [_to(ALL, self._frame_of(key))] if self._clients and key in self._latest else []
@@ -140,41 +137,48 @@ class ConsoleCore:
             return frame_of(key, message, predictable=self._predictions.predictable)
         return frame_of(key, message)
 
-    def _on_episode(self, episode: Episode, now: int) -> list[Send]:
+    def _on_episode(self, episode: Episode, now: int) -> None:
         before, self._episode = self._episode, episode
-        if before is None or before.episode != episode.episode or before.seed != episode.seed:
-            self._latest = {
-                key: message
-                for key, message in self._latest.items()
-                if message.episode == episode.episode or key in ("playback", "hider/track", "seeker/track")
-            }
-            self._predictions.begin(episode.episode)
-            self._pause_asked = False
-            # Without a driver of ours it may be a game in a log; a page that drove the last game goes on at once.
-            self._grace_until = now + GRACE
-        if episode.phase == "setup":
-            self._score.begin(episode.episode)
-        if episode.paused:
-            self._pause_asked = False
+        another = before is None or before.episode != episode.episode
+        # A referee that counts anew, or another log, uses a number again.
+        again = before is not None and not another and (before.seed != episode.seed or _is_set_up_again(before, episode))
+        if another or again:
+            self._put_away_but(None if again else episode.episode)
         self._score.add(episode)
         self._session.see(episode, self._score.is_discarded(episode.episode))
         self._stale |= {"score", "session"}
-        return self._on_step(self._human.see(episode), now) if self._playback is None else []
+        if self._playback is None:
+            self._wheel.see(episode, another or again, now)
+
+    def _put_away_but(self, number: int | None) -> None:
+        """Put away what is known of games but for one."""
+        self._latest = {
+            key: message
+            for key, message in self._latest.items()
+            if message.episode == number or key in ("episode", "playback", "hider/track", "seeker/track")
+        }
+        if number is None:
+            self._past.forget()
+            self._driven_paths.forget()
+            self._predictions.forget()
+        else:
+            self._predictions.begin(number)
 
     def _on_control(self, control: Control) -> list[Send]:
-        if control.action == "discard" and (self._score.knows(control.episode) or self._is_on(control.episode)):
+        if control.action == "discard" and self._can_discard(control.episode):
             self._score.discard(control.episode)
         self._session.hear(control)
+        self._wheel.hear(control)
         self._stale |= {"score", "session"}
         return []
 
     def _on_playback(self, playback: Playback) -> list[Send]:
-        jumped = self._playback is not None and playback.jumps != self._playback.jumps
+        jumped = self._playback is not None and _jumped(self._playback, playback)
         if jumped:
             self._forget()
         elif self._playback is None:
-            self._human.forget()
-            self._leave_wheel()
+            self._wheel.forget()
+            self._stale.add("session")
         self._playback = playback
         self._latest["playback"] = playback
         if not self._clients:
@@ -182,45 +186,10 @@ class ConsoleCore:
         more = {"forget": True} if jumped else {}
         return [_to(ALL, frame_of("playback", playback, **more))]
 
-    # The human at the wheel
-
-    @property
-    def _driven(self) -> bool:
-        return self._session.driver != NOBODY
-
-    def _on_step(self, complete: Complete | None, now: int) -> list[Send]:
-        if complete is not None:
-            self._unanswered = complete
-        return []
-
-    def _mind_the_wheel(self, now: int) -> list[Send]:
-        """Answer the step that is open; and where nobody drives a human's game, stay and pause it."""
-        playing = self._human.episode
-        if playing is None:
-            self._unanswered = None
-            return []
-        if not self._driven and self._grace_until is not None:
-            if now < self._grace_until:
-                return []
-            self._grace_until = None
-        sends: list[Send] = []
-        if self._unanswered is not None:
-            complete, self._unanswered = self._unanswered, None
-            sends += answer(complete, self._session.keys.take() if self._driven else "stay")
-        if not self._driven and not self._session.hold and not self._pause_asked:
-            self._pause_asked = True
-            sends.append(Publish("control", Control(stamp=now, action="pause")))
-        return sends
-
-    def _leave_wheel(self) -> None:
-        self._session.take_wheel(NOBODY)
-        self._grace_until = None
-        self._stale.add("session")
-
-    def _is_on(self, number: int | None = None) -> bool:
-        """Whether a game, or this one, is set up or running."""
-        episode = self._episode
-        return episode is not None and episode.phase in ("setup", "running") and number in (None, episode.episode)
+    def _can_discard(self, number: int) -> bool:
+        """Whether a game can be taken back: it is the last one that was spoken of, or one that was counted."""
+        last = self._episode is not None and self._episode.episode == number and not self._score.is_discarded(number)
+        return last or self._score.knows(number)
 
     # The pages
 
@@ -259,25 +228,32 @@ class ConsoleCore:
     def _on_gone(self, client: int) -> list[Send]:
         self._clients.discard(client)
         self._predictions.forget_client(client)
-        if self._session.driver == client:
+        self._controls.forget(client)
+        if self._wheel.driver == client:
             self._leave_wheel()
         return []
+
+    def _leave_wheel(self) -> None:
+        self._wheel.leave()
+        self._stale.add("session")
 
     def _on_request(self, client: int, request: requests.AnyRequest, now: int) -> list[Send]:
         match request:
             case requests.Drive():
-                return self._on_drive(client, request)
+                if self._wheel.drive(client, request):
+                    self._stale.add("session")
+                return []
             case requests.Predict(goal=goal):
                 return self._predictions.want(client, goal)
             case requests.Views():
                 return [_to(client, data) for data in self._past.frames(request)]
         control = wishes.control_for(request, self._situation(client, request), now)
-        if not self._controls.take(now / SECOND):
+        if not self._controls.take(client, now / SECOND, urgent=isinstance(request, requests.Stop | requests.Pause)):
             raise wishes.Refused("too much is asked at once: try again in a second")
         if isinstance(request, requests.Start):
-            self._session.take_wheel(client if request.hider == HUMAN else NOBODY)
-        elif isinstance(request, requests.Resume) and self._human.episode is not None and not self._driven:
-            self._session.take_wheel(client)
+            self._wheel.take(client if request.hider == HUMAN else NOBODY)
+        elif isinstance(request, requests.Resume) and self._wheel.in_game and not self._wheel.driven:
+            self._wheel.take(client)
         self._stale.add("session")
         sends: list[Send] = [Publish("control", control)]
         if isinstance(request, requests.Start) and self._reports.is_silent("referee", now):
@@ -285,25 +261,14 @@ class ConsoleCore:
             sends.append(_to(client, notice(warning, "warning")))
         return sends
 
-    def _on_drive(self, client: int, request: requests.Drive) -> list[Send]:
-        if self._human.episode is None:
-            return []
-        if not self._driven:
-            self._session.take_wheel(client)
-            self._stale.add("session")
-        if self._session.driver != client:
-            raise wishes.Refused("somebody drives at another page")
-        (self._session.keys.press if request.held else self._session.keys.release)(request.primitive)
-        return []
-
     def _situation(self, client: int, request: requests.AnyRequest) -> wishes.Situation:
-        number = request.episode if isinstance(request, requests.Discard) else 0
+        episode, wheel, more = self._episode, self._wheel, self._session.more_games
         return wishes.Situation(
             replayed=self._playback is not None,
-            driven_elsewhere=self._human.episode is not None and self._session.driver not in (NOBODY, client),
-            can_pause=self._is_on() or self._session.more_games,
-            paused=self._session.paused or self._pause_asked,
-            can_discard=self._score.knows(number) or self._is_on(number),
+            driven_elsewhere=wheel.driver not in (NOBODY, client) and (wheel.in_game or more),
+            can_pause=more or (episode is not None and episode.phase in ("setup", "running")),
+            paused=self._session.paused or wheel.pause_asked,
+            can_discard=isinstance(request, requests.Discard) and self._can_discard(request.episode),
         )
 
     def _on_time(self, now: int) -> list[Send]:
@@ -317,3 +282,13 @@ class ConsoleCore:
 
 def _to(client: int, data: bytes) -> Write:
     return Write(PAGE, addressed(client, data))
+
+
+def _is_set_up_again(before: Episode, episode: Episode) -> bool:
+    return episode.phase == "setup" and before.phase != "setup"
+
+
+def _jumped(before: Playback, playback: Playback) -> bool:
+    """Whether a replay went to another place, or is another replay than before."""
+    other = (before.jumps, before.log) != (playback.jumps, playback.log)
+    return other or playback.position < before.position - BACK or (before.state == "ended") > (playback.state == "ended")

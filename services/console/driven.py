@@ -17,14 +17,19 @@ class Driven:
     def add(self, robot: str, pose: Pose) -> None:
         """Keep a pose; the first of another episode puts those of the last one away."""
         if pose.episode != self._episode:
+            self.forget()
             self._episode = pose.episode
-            for path in self._paths.values():
-                path.clear()
         path = self._paths[robot]
         path.pop(pose.step, None)
         path[pose.step] = round(pose.x, 4), round(pose.y, 4)
         if len(path) > STEPS_LIMIT:
             del path[next(iter(path))]
+
+    def forget(self) -> None:
+        """Put everything away."""
+        self._episode = 0
+        for path in self._paths.values():
+            path.clear()
 
     def frame(self) -> bytes | None:
         """Return the frame `driven`; None before any pose."""

@@ -1,4 +1,4 @@
-"""How often something may happen."""
+"""How often something may happen, in all and for each page."""
 
 from __future__ import annotations
 
@@ -20,3 +20,26 @@ class Rate:
             return False
         self._level -= 1.0
         return True
+
+
+class Shares:
+    """A bucket for each page, and one that bounds them all: no page can use up what another one needs.
+
+    Args:
+        own: events a second and at once, of one page.
+        total: of all pages together.
+    """
+
+    def __init__(self, own: tuple[float, float], total: tuple[float, float]) -> None:
+        self._own = own
+        self._total = Rate(*total)
+        self._pages: dict[int, Rate] = {}
+
+    def take(self, client: int, now: float, urgent: bool) -> bool:
+        """Return whether a page's event may happen at `now`, s; one that is urgent is bounded by the page's own bucket only."""
+        own = self._pages.setdefault(client, Rate(*self._own))
+        return own.take(now) and (urgent or self._total.take(now))
+
+    def forget(self, client: int) -> None:
+        """The page is gone."""
+        self._pages.pop(client, None)

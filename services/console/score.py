@@ -17,10 +17,19 @@ class Score:
         self._counts = {"survived": 0, "caught": 0, "aborted": 0, "discarded": 0}
         self._steps: dict[int, int] = {}
         self._step_sum = 0
+        self._on = 0  # number of the game that was set up or ran last
 
     def add(self, episode: Episode) -> None:
-        """Take in the end of a game. Said again (a latched message, a restarted referee), it does not count again."""
-        if episode.phase not in ("ended", "aborted") or episode.episode in self._games:
+        """Take in what is said of a game. Its end counts once, and only where it was heard to be set up or to run.
+
+        What the bus still held of a game that was over before (a latched message) does not count.
+        """
+        if episode.phase == "setup":
+            self._begin(episode.episode)
+        if episode.phase in ("setup", "running"):
+            self._on = episode.episode
+            return
+        if episode.episode != self._on or episode.episode in self._games:
             return
         result = episode.outcome if episode.phase == "ended" else "aborted"
         if result not in self._counts:
@@ -34,11 +43,6 @@ class Score:
             del self._games[oldest]
             # It stays counted: what is forgotten is how to take it back.
             self._steps.pop(oldest, None)
-
-    def begin(self, number: int) -> None:
-        """A game is set up: an earlier one of its number (the referee began to count anew) stays as it is."""
-        self._games.pop(number, None)
-        self._steps.pop(number, None)
 
     def discard(self, number: int) -> None:
         """Take a game back, also one that is about to be aborted for it."""
@@ -63,6 +67,11 @@ class Score:
         ended = self._counts["survived"] + self._counts["caught"]
         fields = {"games": sum(self._counts.values()), **self._counts, "mean_steps": self._step_sum / ended if ended else None}
         return frame("score", fields)
+
+    def _begin(self, number: int) -> None:
+        """A game is set up: an earlier one of its number (the referee began to count anew) stays as it is."""
+        self._games.pop(number, None)
+        self._steps.pop(number, None)
 
     def _count(self, number: int, result: str, change: int) -> None:
         self._games[number] = result

@@ -1,4 +1,4 @@
-"""Who is at the wheel, and how the games that were asked for go."""
+"""How the games that were asked for go."""
 
 from __future__ import annotations
 
@@ -6,23 +6,17 @@ from typing import Any
 
 from schemas import Control, Episode
 from services.console.frames import frame
-from services.console.human import HUMAN, Keys
-
-NOBODY = 0
 
 
 class Session:
-    """The games asked for last, and the page that drives in them.
+    """The games asked for last.
 
     Attributes:
-        driver: client number of the page at the wheel, 0: nobody.
         hold: whether the game is paused: the referee's word.
         pausing: whether a pause was asked for that nobody took back.
     """
 
     def __init__(self) -> None:
-        self.driver = NOBODY
-        self.keys = Keys()
         self.hold = False
         self.pausing = False
         self._asked = False
@@ -32,12 +26,6 @@ class Session:
         self._over = 0  # number of the last game that is not to be counted again
         self._waits = False  # the referee says of a game that is over that another one waits for `resume`
         self._last: dict[str, Any] | None = None
-
-    def take_wheel(self, client: int) -> None:
-        """A page drives from now on (0: nobody does); nobody's keys stay pressed."""
-        if client != self.driver:
-            self.driver = client
-            self.keys.let_go()
 
     @property
     def more_games(self) -> bool:
@@ -62,15 +50,11 @@ class Session:
             self.pausing = self._waits = False
             self._asked, self._wanted, self._played = control.action == "start", control.games, 0
             self._over = self._on  # is aborted for this, and is none of these games
-            if control.action == "start" and control.players.hider != HUMAN:
-                self.take_wheel(NOBODY)
         elif control.action == "discard" and self._last is not None and self._last["episode"] == control.episode:
             self._last["discarded"] = True
 
     def see(self, episode: Episode, discarded: bool) -> None:
         """Take in what the referee says of a game."""
-        if episode.paused != self.hold:
-            self.keys.forget_taps()
         self.hold = episode.paused
         over = episode.phase in ("ended", "aborted")
         self._waits = over and episode.paused
@@ -82,9 +66,8 @@ class Session:
             self._last = {"episode": episode.episode, "discarded": discarded}
         elif episode.phase == "setup":
             self._over = 0
-            self.keys.forget_taps()
 
-    def frame(self) -> bytes:
-        """Return the frame `session`."""
-        fields = {"driver": self.driver, "more_games": self.more_games, "paused": self.paused, "last": self._last}
+    def frame(self, driver: int) -> bytes:
+        """Return the frame `session`; `driver`: client number of the page at the wheel, 0: nobody."""
+        fields = {"driver": driver, "more_games": self.more_games, "paused": self.paused, "last": self._last}
         return frame("session", fields)

@@ -25,7 +25,7 @@ class Situation:
 
     Attributes:
         replayed: a log is played on the bus.
-        driven_elsewhere: another page is at the wheel of a game.
+        driven_elsewhere: another page is at the wheel of a game, or of the next one.
         can_pause: a game is on, or others follow.
         paused: a pause can be taken back.
         can_discard: the game that is to be taken back is on, or is over and was not taken back yet.
@@ -52,6 +52,8 @@ def control_for(request: requests.AnyRequest, situation: Situation, now: int) ->
             if situation.driven_elsewhere:
                 raise Refused("somebody is playing at another page: that game has to end first")
             return start(request, now)
+        case requests.Stop() | requests.Discard() if situation.driven_elsewhere and not situation.paused:
+            raise Refused("somebody is playing at another page: pause that game first")
         case requests.Stop():
             return Control(stamp=now, action="stop")
         case requests.Pause():

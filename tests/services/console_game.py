@@ -9,7 +9,7 @@ from typing import Any
 from schemas import Health, Message
 from services.console.core import ConsoleCore
 from services.console.events import PAGE, PageEvent
-from services.console.requests import AnyRequest
+from services.console.requests import AnyRequest, Start
 from services.console.welcome import welcome
 from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore
@@ -152,3 +152,13 @@ class Table:
 
 def health(service: str, now: int, state: str = "ok", reason: str = "") -> Health:
     return Health(stamp=now, service=service, state=state, process=1, uptime=5.0, reason=reason)  # type: ignore[arg-type]
+
+
+STEPS = 12
+
+
+def play(table: Table, steps: int = STEPS, **more: Any) -> None:
+    """A page asks for games of the planner; the first is played to its end."""
+    table.ask(Start(steps=steps, seed=5, **more))
+    before = len(table.of("episode"))
+    table.run(lambda: any(message.phase in ("ended", "aborted") for message in table.of("episode")[before:]))

@@ -10,12 +10,13 @@ from hypothesis import strategies as st
 
 from schemas import PRIMITIVES, ColorImage, Command, Control, DepthImage, Episode, Playback, Players, Pose, Primitive, Rules
 from services.console import requests
-from services.console.core import GRACE
+from services.console.events import PAGE, PageEvent
 from services.console.human import Keys
+from services.console.wheel import GRACE
 from services.planner.core import PlannerCore
 from tests.services.console_game import Table
 from vantage.perception.state_image import perceive
-from vantage.service import SECOND
+from vantage.service import SECOND, Captured
 
 STEPS = 12
 
@@ -255,6 +256,63 @@ def test_whoever_drives_first_has_the_wheel_and_others_are_told(table: Table) ->
     to_step(table, at + 2)
     assert commands(table)[-1].primitive == "left"
     assert table.header("session", 2)["driver"] == 2
+
+
+def test_another_page_cannot_end_somebodys_game_unless_it_is_paused(table: Table) -> None:
+    begin(table, steps=100, games=2)
+    table.come(2)
+    to_step(table, 3)
+    number = table.of("episode")[-1].episode
+    for wish in (requests.Stop(), requests.Discard(episode=number)):
+        table.ask(wish, 2)
+    table.settle()
+    assert [control.action for control in table.of("control")] == ["start"]
+    assert [text for text in table.notices(2) if "pause that game first" in text] == table.notices(2)
+    assert len(table.notices(2)) == 2
+    table.ask(requests.Pause(), 2)
+    table.run(lambda: table.of("episode")[-1].paused)
+    table.ask(requests.Stop(), 2)
+    to_end(table)
+    assert table.of("episode")[-1].phase == "aborted"
+
+
+def test_between_somebodys_games_too_and_the_driver_may_always_stop(table: Table) -> None:
+    begin(table, steps=4, games=2)
+    table.come(2)
+    to_end(table)
+    table.ask(requests.Stop(), 2)
+    table.settle()
+    assert "pause that game first" in table.notices(2)[-1]
+    table.ask(requests.Stop())
+    table.settle()
+    assert [control.action for control in table.of("control")] == ["start", "stop"]
+
+
+def test_whose_driver_is_gone_may_be_ended_by_anybody(table: Table) -> None:
+    begin(table, steps=100)
+    table.come(2)
+    to_step(table, 3)
+    table.go(1)
+    table.settle()
+    table.ask(requests.Stop(), 2)
+    to_end(table)
+    assert "stop" in [control.action for control in table.of("control")]
+
+
+def test_a_driver_that_took_the_wheel_of_a_game_in_its_set_up_and_goes_pauses_it(table: Table) -> None:
+    """The pause that the first driver left behind was taken back: the next one's going is a reason of its own."""
+    table.come(2)
+    begin(table, steps=100)
+    table.run(lambda: bool(table.of("episode")))
+    assert table.of("episode")[-1].phase == "setup"
+    table.go(1)
+    table.bus.post(Captured(PAGE, PageEvent(2, requests.Resume()), table.now))
+    to_step(table, 3)
+    assert table.header("session", 2)["driver"] == 2
+    assert not table.of("episode")[-1].paused
+    table.go(2)
+    table.run(lambda: table.of("episode")[-1].paused)
+    assert [control.action for control in table.of("control")] == ["start", "pause", "resume", "pause"]
 
 
 def test_a_console_that_is_restarted_pauses_the_game_and_goes_on_with_it(table: Table) -> None:

@@ -537,7 +537,7 @@ def test_what_the_past_held_is_not_sent_after_a_jump(console: Console) -> None:
             console.show("past/3", bytes(16384))
         console.show("playback", forget=True, jumps=1)
         console.show("tick")
-        keys = []
+        keys: list[str] = []
         while not keys or keys[-1] != "tick":
             keys.append(parse(opened.receive()[1])[0]["key"])
         assert keys[-2:] == ["playback", "tick"]

@@ -21,7 +21,7 @@ def game(number: int, phase: str, **more: Any) -> Episode:
 
 
 def told(session: Session) -> dict[str, Any]:
-    header, _ = parse(session.frame())
+    header, _ = parse(session.frame(0))
     return header
 
 
@@ -95,4 +95,4 @@ def test_nobody_is_told_who_plays() -> None:
     session.see(game(1, "setup", players=players), False)
     header, _ = parse(frame_of("episode", game(1, "setup", players=players)))
     assert header["players"] == {"hider": "human", "seeker": "glancing"}
-    assert "Lovelace" not in str(session.frame())
+    assert "Lovelace" not in str(session.frame(0))

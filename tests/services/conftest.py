@@ -1,0 +1,32 @@
+"""A table on which the planner plays, with a page of the console open."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from services.planner.core import PlannerCore
+from services.predictor.core import PredictorCore
+from tests.services.console_game import Table
+
+
+@pytest.fixture(scope="session")
+def small_networks() -> Any:
+    """Untrained networks: they answer as trained ones do, and faster."""
+    import torch
+
+    from vantage.networks.inference import Inference
+    from vantage.networks.vpn import Vpn, VpnSettings
+    from vantage.networks.vpt_tob import VptTob, VptTobSettings
+
+    torch.manual_seed(0)
+    return Inference(VptTob(VptTobSettings(width=0.25)), Vpn(VpnSettings(width=4)), batch=32, threads=1)
+
+
+@pytest.fixture
+def table(small_networks: Any) -> Table:
+    table = Table({"planner": PlannerCore(), "predictor": PredictorCore(small_networks)})
+    table.come()
+    table.run_for(1.0)
+    return table
