@@ -35,6 +35,7 @@ def test_what_the_recorded_predictor_said_comes_from_the_replay_unless_a_live_pl
     assert cast(said, {"predictor", "planner"}, set()).voices == {}
     assert cast(said, {"predictor"}, {"planner"}).voices == {}
     assert set(cast(said, set(), set()).voices.values()) == {"predictor"}
+    assert cast(said, set(), {"predictor"}).voices == {}, "who is left out is not spoken for"
 
 
 def test_what_a_human_drove_is_not_missing_beside_a_live_console() -> None:
@@ -46,3 +47,4 @@ def test_what_a_human_drove_is_not_missing_beside_a_live_console() -> None:
         ("tick", "referee"): "referee",
     }
     assert result.replaced == {"console": "played by the live console instead"}
+    assert cast(said, set(), {"console"}).voices == {("tick", "referee"): "referee"}

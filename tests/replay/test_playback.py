@@ -207,6 +207,14 @@ def test_a_jump_into_a_game_says_its_set_up_first_then_that_it_runs_then_the_lay
     assert playback.report(SETTLE).step == max(each.message.step for each in said if each.key == "tick")
 
 
+def test_of_an_earlier_game_with_the_same_number_nothing_is_said() -> None:
+    source = ListedSource(recorded(game(1, 5, 6, "ended") + game(1, 6, 6, "ended"), [100 * MILLISECOND]))
+    playback = Playback(source, is_played, 0, position=source.games[1].start)
+    said = playback.turn(SETTLE)
+    assert sorted(each.key for each in said) == ["episode", "health/planner"], "its own layout, poses and ticks are to come"
+    assert isinstance(said[0].message, Episode) and (said[0].message.phase, said[0].message.seed) == ("setup", 6)
+
+
 def test_a_log_that_begins_within_a_game_gets_a_set_up_made_from_its_first_word() -> None:
     records = recorded(game(4, 5, 6, "ended")[3:], [100 * MILLISECOND])
     playback = Playback(ListedSource(records), is_played, 0, position=records[10].log_time)
