@@ -11,8 +11,9 @@ import multiprocessing
 import os
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import count, islice
 from multiprocessing.queues import Queue
 from pathlib import Path
 from queue import Empty
@@ -30,8 +31,9 @@ from learning.hiders.recorded import NO_TRAJECTORIES, TrajectoriesBySplit, read_
 from learning.hiders.table import HIDERS, policy_generator
 from learning.in_process import play
 from learning.splits import SPLITS, split_of
+from learning.stretches import RefereeOfStretches, stretches
 from schemas import Episode, Players, Rules
-from services.referee.core import RefereeCore, RefereeSettings
+from services.referee.settings import RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
 from vantage.log import LogWriter, RunMetadata, open_log, source_commit
@@ -69,7 +71,7 @@ class CollectSettings:
     driver: str | None = None
     """Of those logs only the games that this hider drove: `human`, `planner`, `scripted-1`, ...; default: all."""
     seed: int = 1
-    """Seed of the first episode; episode n uses seed + n - 1."""
+    """Seed of the first episode; the next ones follow, without those of splits that have nothing to replay."""
     workers: int = 0
     """Worker processes; 0 = one for each core."""
     block: int = 50
@@ -120,7 +122,13 @@ def main(settings: CollectSettings) -> int:
     _remove_partial_logs(settings.to)
     recorded = trajectories_hash(trajectories)
     blocks = blocks_of(settings, playable)
-    waiting = []
+    starts = {block[0] for block in blocks}
+    crumbs = crumbs_of(settings, playable)
+    if any(crumb[0] not in starts and log_path(settings, crumb).exists() for crumb in crumbs):
+        blocks = crumbs  # begun when a log had no gaps in its seeds
+    first, last = (settings.seed + block[end] - 1 for block, end in ((blocks[0], 0), (blocks[-1], -1)))
+    print(f"{settings.episodes} games with seeds {first} to {last}, in {len(blocks)} logs")
+    waiting: list[Sequence[int]] = []
     for block in blocks:
         path = log_path(settings, block)
         held = configuration_in(path) if path.exists() else {}
@@ -155,24 +163,26 @@ def main(settings: CollectSettings) -> int:
     return 0
 
 
-def blocks_of(settings: CollectSettings, playable: frozenset[int] = EVERY_SPLIT) -> list[range]:
-    """Return the episodes of each log, the first of all counted as 1; those of splits that are not playable are left out."""
-    blocks: list[range] = []
-    count, episode = 0, 1
-    while count < settings.episodes:
-        if split_of(settings.seed + episode - 1) in playable:
-            last = blocks[-1] if blocks else range(0)
-            if len(last) and last.stop == episode and len(last) < settings.block:
-                blocks[-1] = range(last.start, episode + 1)
-            else:
-                blocks.append(range(episode, episode + 1))
-            count += 1
-        episode += 1
-    return blocks
+def episodes_of(settings: CollectSettings, playable: frozenset[int] = EVERY_SPLIT) -> list[int]:
+    """Return the episodes to play, the first of all counted as 1; those of splits that are not playable are left out."""
+    wanted = (episode for episode in count(1) if split_of(settings.seed + episode - 1) in playable)
+    return list(islice(wanted, settings.episodes))
+
+
+def blocks_of(settings: CollectSettings, playable: frozenset[int] = EVERY_SPLIT) -> list[Sequence[int]]:
+    """Return the episodes of each log."""
+    episodes = episodes_of(settings, playable)
+    return [episodes[start : start + settings.block] for start in range(0, len(episodes), settings.block)]
+
+
+def crumbs_of(settings: CollectSettings, playable: frozenset[int]) -> list[Sequence[int]]:
+    """Return the episodes of each log of a collection that was begun when a log could have no gaps."""
+    whole = stretches(episodes_of(settings, playable))
+    return [stretch[start : start + settings.block] for stretch in whole for start in range(0, len(stretch), settings.block)]
 
 
 def configuration_of(
-    settings: CollectSettings, block: range, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES
+    settings: CollectSettings, block: Sequence[int], trajectories: TrajectoriesBySplit = NO_TRAJECTORIES
 ) -> dict[str, Any]:
     """Return what a log says of its making: nothing that depends on where or when it was made."""
     portable = replace(settings, to=Path(), source=None, driver=None, workers=0, episodes=0)
@@ -197,12 +207,14 @@ def configuration_in(path: Path) -> dict[str, Any]:
     return found if "settings" in found else {}
 
 
-def log_path(settings: CollectSettings, block: range) -> Path:
+def log_path(settings: CollectSettings, block: Sequence[int]) -> Path:
     """Return the log of a block of episodes."""
     return settings.to / f"{settings.hider}_{settings.seeker}_{settings.seed + block[0] - 1:07d}.mcap"
 
 
-def play_block(settings: CollectSettings, block: range, path: Path, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES) -> int:
+def play_block(
+    settings: CollectSettings, block: Sequence[int], path: Path, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES
+) -> int:
     """Play a block of episodes into one log. Returns the number of steps played."""
 
     def make_policy(episode: Episode) -> HiderPolicy:
@@ -212,19 +224,19 @@ def play_block(settings: CollectSettings, block: range, path: Path, trajectories
     first = settings.seed + block[0] - 1  # episode numbers are seeds, so that they are unique over a whole collection
     referee = RefereeSettings(
         autoplay=True,
-        games=len(block),
-        seed=first,
-        first_episode=first,
         rules=settings.rules,
         players=Players(hider=settings.hider, seeker=settings.seeker),
         required=("simulator", "seeker", "hider"),
         settle=0.0,
     )
+    seeds = stretches(settings.seed + episode - 1 for episode in block)
     cores: dict[str, Core] = {
         "simulator": SimulatorCore(settings.world),
         "seeker": SeekerCore(SeekerSettings(publish_view=settings.views)),
         "hider": HiderCore(make_policy, publish_view=settings.views),
-        "referee": RefereeCore(referee),
+        "referee": RefereeOfStretches(
+            [replace(referee, games=len(stretch), seed=stretch[0], first_episode=stretch[0]) for stretch in seeds]
+        ),
     }
     metadata = RunMetadata(
         commit=source_commit(),
@@ -248,7 +260,7 @@ def _remove_partial_logs(folder: Path) -> None:
 
 
 def _play_blocks(
-    settings: CollectSettings, blocks: list[range], trajectories: TrajectoriesBySplit, workers: int
+    settings: CollectSettings, blocks: list[Sequence[int]], trajectories: TrajectoriesBySplit, workers: int
 ) -> Iterator[tuple[int, int]]:
     """Play blocks into their logs; yields games and steps of each as it is done, of fewer blocks where a worker failed."""
     if workers == 1:
@@ -278,7 +290,7 @@ def _play_blocks(
 
 
 def _work(
-    settings: CollectSettings, blocks: list[range], trajectories: TrajectoriesBySplit, done: Queue[tuple[int, int]]
+    settings: CollectSettings, blocks: list[Sequence[int]], trajectories: TrajectoriesBySplit, done: Queue[tuple[int, int]]
 ) -> None:
     parent = multiprocessing.parent_process()
     for block in blocks:

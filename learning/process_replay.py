@@ -19,6 +19,7 @@ from pathlib import Path
 from msgspec.structs import fields as fields_of
 from msgspec.structs import replace
 
+from learning.stretches import RefereeOfStretches
 from schemas import Control, DepthImage, Episode, MalformedMessage, Message, PredictReply, PredictRequest, Tick
 from services.planner.core import PlannerCore, PlannerSettings
 from services.referee.core import RefereeCore, RefereeSettings
@@ -55,12 +56,13 @@ class Contents:
 
     Attributes:
         published: (key, publisher); the publisher is empty in a log that does not name them.
-        begun: the first set-up, where nobody asked for it on the log: the referee began by itself.
+        begun: (first set-up, how many) of each stretch of games with consecutive numbers, where nobody asked for the first of
+            them on the log: the referee began by itself.
         picture: the first depth picture.
     """
 
     published: frozenset[tuple[str, str]]
-    begun: Episode | None = None
+    begun: tuple[tuple[Episode, int], ...] = ()
     picture: DepthImage | None = None
 
     def has(self, key: str, service: str) -> bool:
@@ -76,6 +78,7 @@ def contents_of(path: Path) -> Contents:
     """
     published = set()
     first: dict[str, Message] = {}
+    setups: list[Episode] = []
     for parts in find_logs(path):
         with open_log(*parts) as log:
             channels = [channel for file in log.files for channel in file.channels.values()]
@@ -85,12 +88,28 @@ def contents_of(path: Path) -> Contents:
                     if record.well_formed:
                         first.setdefault(topics[0], record.decode())
                         break
-    begun, picture = first.get("control"), first.get("hider/depth")
+            begun = first.get("control")
+            if isinstance(begun, Episode) and begun.phase == "setup":
+                setups += _setups(log.records(("episode",)))
+    picture = first.get("hider/depth")
+    stretches: list[tuple[Episode, int]] = []
+    for setup in setups:
+        if stretches and setup.episode <= stretches[-1][0].episode + stretches[-1][1]:
+            stretches[-1] = stretches[-1][0], stretches[-1][1] + 1
+        else:
+            stretches.append((setup, 1))
     return Contents(
         frozenset(published),
-        begun if isinstance(begun, Episode) and begun.phase == "setup" else None,
+        tuple(stretches),
         picture if isinstance(picture, DepthImage) else None,
     )
+
+
+def _setups(records: Iterable[Record]) -> Iterator[Episode]:
+    for record in records:
+        message = record.decode() if record.well_formed else None
+        if isinstance(message, Episode) and message.phase == "setup":
+            yield message
 
 
 def replayable() -> dict[str, Callable[[Contents], Core]]:
@@ -106,11 +125,22 @@ def _referee(contents: Contents) -> Core:
     # Where nobody wrote down that the console was alive, the games themselves say so.
     others = () if contents.has("health/console", "console") else ("console", "hider")
     settings = RefereeSettings(settle=0.0, required=(*REFEREE.heeds, *others))
-    begun = contents.begun
-    if begun is None:
+    if not contents.begun:
         return RefereeCore(settings)
-    settings = with_changes(settings, autoplay=True, seed=begun.seed, first_episode=begun.episode)
-    return RefereeCore(with_changes(settings, rules=begun.rules, players=begun.players))
+    played = [
+        with_changes(
+            settings,
+            autoplay=True,
+            games=games,
+            seed=setup.seed,
+            first_episode=setup.episode,
+            rules=setup.rules,
+            players=setup.players,
+        )
+        for setup, games in contents.begun
+    ]
+    played[-1] = with_changes(played[-1], games=0)  # the log does not say that there was to be none more
+    return RefereeOfStretches(played)
 
 
 def _simulator(contents: Contents) -> Core:

@@ -6,12 +6,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from learning.collect import CollectSettings, log_path, main, play_block
+from learning.collect import CollectSettings, blocks_of, crumbs_of, episodes_of, log_path, main, play_block
 from learning.hiders.recorded import read_trajectories
 from learning.hiders.table import HIDERS
 from learning.splits import split_of
+from learning.stretches import stretches
+from learning.verify import VerifySettings
+from learning.verify import main as verify
 from schemas import Plan, Pose, Rules
 from vantage.log.episodes import episodes
 from vantage.log.reader import read
@@ -144,3 +149,61 @@ def test_seeds_of_splits_in_which_nothing_was_recorded_are_left_out(tmp_path: Pa
     assert expected[-1] > 20 + 30, "choose seeds that do not all fall into one split"
     played = [game.episode.seed for game in episodes(read(tmp_path / "replay"))]
     assert sorted(played) == expected
+    assert len(list((tmp_path / "replay").glob("*.mcap"))) == 1
+
+
+def leaving_out(tmp_path: Path) -> tuple[CollectSettings, list[int]]:
+    """A collection of the training split alone, and its seeds."""
+    rules = Rules(maximum_steps=6, catching=False)
+    few = CollectSettings(episodes=2, hider="random", seed=20, to=tmp_path / "few", workers=1, rules=rules)
+    assert main(few) == 0
+    settings = replace_settings(few, episodes=25, hider="replay", source=tmp_path / "few", to=tmp_path / "replay", block=10)
+    return settings, [seed for seed in range(20, 100) if split_of(seed) == 0][:25]
+
+
+def test_logs_have_their_size_whatever_seeds_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings, seeds = leaving_out(tmp_path)
+    assert seeds[-1] - seeds[0] > 25
+    assert main(settings) == 0
+    assert f"25 games with seeds {seeds[0]} to {seeds[-1]}, in 3 logs" in capsys.readouterr().out
+    logs = sorted(settings.to.glob("*.mcap"))
+    held = [[game.episode.seed for game in episodes(read(path))] for path in logs]
+    assert held == [seeds[:10], seeds[10:20], seeds[20:]]
+    for path in logs:
+        for game in episodes(read(path)):
+            assert game.complete and game.number == game.episode.seed
+        assert verify(VerifySettings(path)) == 0, capsys.readouterr().out
+    # Resumed: the same messages again, of what is missing alone.
+    before = {path: list(read(path)) for path in logs}
+    logs[1].unlink()
+    capsys.readouterr()
+    assert main(settings) == 0
+    assert "2 of 3 logs are there already" in capsys.readouterr().out
+    assert {path: list(read(path)) for path in logs} == before
+
+
+def test_a_collection_begun_without_gaps_in_its_logs_goes_on_so(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    settings, seeds = leaving_out(tmp_path)
+    found = read_trajectories(tmp_path / "few").by_split
+    settings.to.mkdir()
+    crumbs = crumbs_of(settings, frozenset({0}))
+    assert len(crumbs) > 3
+    for crumb in crumbs[:-1]:
+        play_block(settings, crumb, log_path(settings, crumb), found)
+    assert main(settings) == 0
+    assert f"{len(crumbs) - 1} of {len(crumbs)} logs are there already" in capsys.readouterr().out
+    assert [game.episode.seed for game in episodes(read(settings.to))] == seeds
+
+
+@given(st.sets(st.integers(0, 60), min_size=1), st.integers(1, 9))
+def test_blocks_and_crumbs_hold_every_episode_once(seeds: set[int], block: int) -> None:
+    numbers = sorted(seeds)
+    assert [number for stretch in stretches(numbers) for number in stretch] == numbers
+    settings = CollectSettings(episodes=len(seeds), block=block)
+    for playable in (frozenset({0}), frozenset({0, 1, 2})):
+        expected = episodes_of(settings, playable)
+        blocks, crumbs = blocks_of(settings, playable), crumbs_of(settings, playable)
+        for made in (blocks, crumbs):
+            assert [episode for each in made for episode in each] == expected
+        assert all(len(each) == block for each in blocks[:-1])
+    assert [list(each) for each in crumbs] == blocks, "nothing is left out: as ever"
