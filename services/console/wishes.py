@@ -86,5 +86,10 @@ def start(asked: Start, now: int) -> Control:
         seed=asked.seed,
         games=asked.games,
         rules=Rules(maximum_steps=asked.steps, layout=asked.layout, step_period=asked.period),
-        players=Players(hider=asked.hider, seeker=asked.seeker, person=" ".join(asked.person.split()) if human else ""),
+        players=Players(hider=asked.hider, seeker=asked.seeker, person=_plain(asked.person) if human else ""),
     )
+
+
+def _plain(name: str) -> str:
+    """A name as one line of what can be printed: it is shown in terminals."""
+    return " ".join("".join(letter if letter.isprintable() else " " for letter in name).split())

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from hypothesis import given
+from hypothesis import strategies as st
+
 from schemas import (
     Control,
 )
-from services.console import requests
+from services.console import requests, wishes
 from services.console.core import ALL_CONTROLS, OWN_CONTROLS
 from services.console.rate import Shares
 from tests.services.console_game import Table, health
@@ -18,6 +21,17 @@ def test_a_start_says_what_was_asked(table: Table) -> None:
     assert (control.action, control.seed, control.games) == ("start", 4, 2)
     assert (control.rules.maximum_steps, control.rules.layout, control.rules.step_period) == (30, "lab", 0.1)
     assert (control.players.hider, control.players.seeker, control.players.person) == ("planner", "expert", "")
+
+
+@given(st.text(max_size=80))
+def test_a_name_is_one_line_that_no_terminal_obeys(name: str) -> None:
+    person = wishes.start(requests.Start(hider="human", person=name), 1).players.person
+    assert person.isprintable()
+    assert person == person.strip()
+    assert "  " not in person
+    letters = [letter for letter in name if letter.isprintable() and not letter.isspace()]
+    assert [letter for letter in person if letter != " "] == letters
+    assert wishes.start(requests.Start(hider="human", person="Ada\x1b[2J\u202e Lovelace"), 1).players.person == "Ada [2J Lovelace"
 
 
 def test_pause_and_resume_where_there_is_nothing_are_refused_in_words(table: Table) -> None:

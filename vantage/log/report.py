@@ -176,7 +176,7 @@ class LogReport:
         for game in self.games.values():
             said = game.episode
             names = [str(said.episode), str(said.seed), game.driver, said.players.seeker, said.rules.layout]
-            table.add_row(*names, str(game.steps), game.phase, said.outcome, said.reason)
+            table.add_row(*(_as_said(text) for text in (*names, str(game.steps), game.phase, said.outcome, said.reason)))
         return table
 
 
@@ -197,3 +197,8 @@ def info(source: Path) -> list[LogReport]:
             report.finished = all(file.finished for file in log.files)
             reports.append(report)
     return reports
+
+
+def _as_said(text: str) -> Text:
+    """What others said, as it is: no markup, and no code that a terminal would obey."""
+    return Text("".join(letter for letter in text if letter.isprintable()))
