@@ -12,8 +12,15 @@ from urllib.parse import urlsplit
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
-NOTE_VIOLATIONS = """
+NOTES = """
 window.violations = [];
+window.sockets = [];
+window.WebSocket = class extends WebSocket {
+  constructor(...given) {
+    super(...given);
+    window.sockets.push(this);
+  }
+};
 document.addEventListener('securitypolicyviolation', ({ violatedDirective, blockedURI }) => {
   window.violations.push(`${violatedDirective} ${blockedURI}`);
 });
@@ -54,7 +61,7 @@ class ConsolePage:
         self, browser: Browser, address: str, width: int = 1440, height: int = 900, theme: Literal["dark", "light"] = "dark"
     ) -> None:
         context = browser.new_context(viewport={"width": width, "height": height}, color_scheme=theme, reduced_motion="reduce")
-        context.add_init_script(NOTE_VIOLATIONS)
+        context.add_init_script(NOTES)
         self.page: Page = context.new_page()
         self.address = address
         self.errors: list[str] = []
@@ -95,12 +102,19 @@ class ConsolePage:
             self.page.once("dialog", lambda dialog: dialog.accept())
             self.press("Escape")
             self.until("vantage.state.mode === 'watch' && vantage.state.connected && vantage.state.frames.services")
-        if self.get("['setup', 'running'].includes(vantage.state.frames.episode?.header.phase)"):
+        on = "['setup', 'running'].includes(vantage.state.frames.episode?.header.phase)"
+        more = "vantage.state.frames.session?.header.more_games"
+        if self.get(f"{on} || {more}"):
             self.press("x")
-            self.until("!['setup', 'running'].includes(vantage.state.frames.episode.header.phase)")
+            self.until(f"!{on} && !{more}")
 
     def begin_human_game(self, games: int = 1, steps: int = 30, period: float = 0.1, seed: int = 3, name: str = "") -> None:
         """Enter play mode with the keyboard, fill the form in, and play through the count-down."""
+        self.ask_for_human_game(games, steps, period, seed, name)
+        self.wait_for_game()
+
+    def ask_for_human_game(self, games: int = 1, steps: int = 30, period: float = 0.1, seed: int = 3, name: str = "") -> None:
+        """Enter play mode with the keyboard, fill the form in, and begin the count-down."""
         self.press("h")
         for label, value in (("games", games), ("steps to survive", steps), ("step [s]", period), ("seed", seed)):
             self.page.locator(".ask").get_by_label(label, exact=True).fill(str(value))
@@ -108,10 +122,14 @@ class ConsolePage:
         self.page.get_by_label("store it with the recording").set_checked(bool(name))
         self.page.locator(".ask button.primary").click()
         self.until("vantage.state.play?.phase === 'count'")
-        self.wait_for_game()
 
     def wait_for_game(self) -> None:
         self.until("vantage.state.play?.phase === 'game' && vantage.state.frames.episode.header.phase === 'running'")
+
+    def lose_connection(self) -> None:
+        """Close the page's WebSocket, as a network that drops does, and wait until it noticed."""
+        self.get("window.sockets.at(-1).close()")
+        self.until("!vantage.state.connected")
 
     def close(self) -> None:
         violations = self.get("window.violations")

@@ -42,8 +42,8 @@ export class Arena {
 
   size() {
     const layout = header('layout');
-    const side = welcome()?.size ?? 1.2;
-    return [layout?.width ?? side, layout?.depth ?? side];
+    const { size } = welcome();
+    return [layout?.width ?? size, layout?.depth ?? size];
   }
 
   fit() {
@@ -154,11 +154,11 @@ export class Arena {
   }
 
   fieldOfView(context, robot, pose) {
-    const { field_of_view: usual, camera_range: range, robot_colors: colors } = welcome();
+    const { field_of_view: usual, robot_colors: colors } = welcome();
     const picture = header(`${robot}/depth`); // says what its own camera sees
     const field = picture ? 2 * Math.atan(picture.width / (2 * picture.intrinsics.fx)) : usual;
     const [width, depth] = this.size();
-    this.trace(context, viewOf(pose, field, range ?? 100, header('layout')?.obstacles ?? [], width, depth));
+    this.trace(context, viewOf(pose, field, header('layout')?.obstacles ?? [], width, depth));
     context.closePath();
     context.fillStyle = css(colors[robot], 0.2);
     context.strokeStyle = css(colors[robot], 0.75);

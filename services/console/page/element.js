@@ -43,7 +43,7 @@ export function labelled(text, control, explanation = '') {
   return make('label.field', { title: explanation }, make('span', {}, text), control);
 }
 
-export function select(options, value, attributes = {}) {
+export function select(options, value = options[0][0], attributes = {}) {
   return make('select', attributes, ...options.map(([key, text]) => make('option', { value: key, selected: key === value }, text)));
 }
 

@@ -2,45 +2,52 @@
 
 import { button, labelled, make, number, select, setText } from './element.js';
 import { onChange } from './painting.js';
-import { episode, gameOn, header, replaying, welcome } from './state.js';
+import { gameOn, held, header, replaying, seriesOn, welcome } from './state.js';
 
-export const SEEKERS = [['glancing', 'glancing'], ['expert', 'expert']];
-export const LAYOUTS = [['random', 'random'], ['lab', 'lab']];
+export const options = (names) => names.map((name) => [name, name]);
 
 export class GameBar {
   /** @param {(request: Object) => boolean} send @param {() => void} play enters play mode. */
   constructor(send, play) {
     this.send = send;
     this.playMode = play;
-    this.fields = {
-      seed: number(1, 0, 2 ** 31),
-      games: number(1, 0, 10000),
-      steps: number(100, 1, 1000),
-      period: number(0.25, 0, 10, 0.05),
-      layout: select(LAYOUTS, 'random'),
-      seeker: select(SEEKERS, 'glancing'),
-      hider: select([['planner', 'planner'], ['human', 'you']], 'planner'),
-    };
-    const { fields } = this;
+    this.fields = null;
+    this.form = make('div.choices');
     this.start = make('button.primary', { type: 'submit', title: 'Start these games (G)' }, 'Start');
     this.pause = button('Pause', () => this.hold(), { title: 'Hold the step clock, or let it go on (space)' });
-    this.stop = button('Stop', () => send({ type: 'stop' }), { title: 'End the games (X)' });
+    this.stop = button('Stop', () => this.end(), { title: 'End the games (X)' });
     this.score = make('span.value', {}, '–');
     this.root = make('form.bar', { 'aria-label': 'Games', onsubmit: (event) => {
       event.preventDefault();
       this.begin();
     } },
-    make('h2', {}, 'Games'),
-    labelled('seed', fields.seed, 'Seed of the first game; the next games count on from it'),
-    labelled('games', fields.games, 'How many games; 0 = until stopped'),
-    labelled('T [steps]', fields.steps, 'Steps the hider has to survive'),
-    labelled('step [s]', fields.period, 'Seconds a step takes; 0 = as fast as the players answer'),
-    labelled('layout', fields.layout, 'Where the obstacles stand'),
-    labelled('seeker', fields.seeker, 'glancing looks about for the hider; expert searches better'),
-    labelled('hider', fields.hider, 'Who drives the hider: the planner, or you'),
+    make('h2', {}, 'Games'), this.form,
     make('div.buttons', {}, this.start, this.pause, this.stop),
     make('span.fact.score', { title: 'Games since the console started' }, make('span.label', {}, 'score'), this.score));
-    this.unlisten = [onChange(['welcome', 'episode', 'playback', 'connected', 'score'], () => this.paint())];
+    this.unlisten = [onChange(['welcome', 'episode', 'session', 'playback', 'connected', 'score'], () => this.paint())];
+  }
+
+  /** The fields come with the console's word on what may be asked. */
+  build() {
+    const { limits, layouts, seekers } = welcome();
+    this.fields = {
+      seed: number(1, 0, Number.MAX_SAFE_INTEGER),
+      games: number(1, 0, limits.games),
+      steps: number(100, 1, limits.steps),
+      period: number(0.25, 0, limits.period[1], 0.05),
+      layout: select(options(layouts)),
+      seeker: select(options(seekers)),
+      hider: select([['planner', 'planner'], ['human', 'you']]),
+    };
+    const { fields } = this;
+    this.form.replaceChildren(
+      labelled('seed', fields.seed, 'Seed of the first game; the next games count on from it'),
+      labelled('games', fields.games, 'How many games; 0 = until stopped'),
+      labelled('T [steps]', fields.steps, 'Steps the hider has to survive'),
+      labelled('step [s]', fields.period, 'Seconds a step takes; 0 = as fast as the players answer'),
+      labelled('layout', fields.layout, 'Where the obstacles stand'),
+      labelled('seeker', fields.seeker, 'glancing looks about for the hider; expert searches better'),
+      labelled('hider', fields.hider, 'Who drives the hider: the planner, or you'));
   }
 
   close() {
@@ -49,8 +56,9 @@ export class GameBar {
 
   begin() {
     const { fields } = this;
+    if (!fields) return;
     if (fields.hider.value === 'human') this.playMode();
-    else {
+    else if (this.root.reportValidity()) {
       this.send({
         type: 'start', seed: Number(fields.seed.value), games: Number(fields.games.value), steps: Number(fields.steps.value),
         layout: fields.layout.value, hider: 'planner', seeker: fields.seeker.value, period: Number(fields.period.value), person: '',
@@ -60,22 +68,24 @@ export class GameBar {
   }
 
   hold() {
-    this.send({ type: episode()?.paused ? 'resume' : 'pause' });
+    this.send({ type: held() ? 'resume' : 'pause' });
+  }
+
+  end() {
+    this.send({ type: 'stop' });
   }
 
   paint() {
-    const limits = welcome()?.limits ?? {};
-    if (limits.steps) this.fields.steps.max = limits.steps;
-    if (limits.games) this.fields.games.max = limits.games;
+    if (!this.fields && welcome()) this.build();
     this.root.hidden = replaying();
-    this.start.disabled = gameOn();
-    this.pause.disabled = episode()?.phase !== 'running';
-    this.stop.disabled = !gameOn();
+    this.start.disabled = gameOn() || !this.fields;
+    this.pause.disabled = !seriesOn() && !held();
+    this.stop.disabled = !seriesOn();
     const score = header('score');
     setText(this.score, score?.games
       ? `${score.survived} survived, ${score.caught} caught` : 'no game has ended');
     this.score.title = score?.games
       ? `mean ${Number(score.mean_steps ?? 0).toFixed(0)} steps; ${score.aborted} aborted, ${score.discarded} discarded` : '';
-    setText(this.pause, episode()?.paused && episode()?.phase === 'running' ? 'Go on' : 'Pause');
+    setText(this.pause, held() ? 'Go on' : 'Pause');
   }
 }

@@ -3,7 +3,6 @@
 import { welcome } from './state.js';
 import { depthTable, pack } from './scales.js';
 
-const SIZE = 128; // state image, pixels
 const buffers = new WeakMap();
 
 function buffer(canvas, width, height) {
@@ -40,11 +39,8 @@ export function paintDepth(canvas, bytes, width, height) {
   show(target);
 }
 
-/** m at the far end of the depth legend: what the camera reaches, else the table's diagonal. */
-export function depthRange() {
-  const size = welcome()?.size ?? 1.2;
-  return welcome()?.camera_range ?? Math.ceil(size * Math.SQRT2 * 10) / 10;
-}
+/** m at the far end of the depth legend: the table's diagonal. */
+export const depthRange = () => Math.ceil(welcome().size * Math.SQRT2 * 10) / 10;
 
 /**
  * The RGBA of each palette index. The palette paints a robot's own disc in one colour and the other's in another, whoever
@@ -56,18 +52,20 @@ function palette(robot) {
   return colors;
 }
 
-/** @param {Uint8Array} indices [128, 128] palette indices, row 0 far. */
+/** @param {Uint8Array} indices [size, size] palette indices, row 0 far. */
 export function paintView(canvas, indices, robot) {
-  const target = buffer(canvas, SIZE, SIZE);
+  const size = Math.sqrt(indices.length);
+  const target = buffer(canvas, size, size);
   const colors = palette(robot);
   const { pixels } = target;
   for (let i = 0; i < pixels.length; i += 1) pixels[i] = colors[indices[i]] ?? 0xff808080;
   show(target);
 }
 
-/** A predicted seeker view: RGB [128, 128, 3], red and green changed over as in `palette`. */
+/** A predicted seeker view: RGB [size, size, 3], red and green changed over as in `palette`. */
 export function paintPredicted(canvas, rgb) {
-  const target = buffer(canvas, SIZE, SIZE);
+  const size = Math.sqrt(rgb.length / 3);
+  const target = buffer(canvas, size, size);
   const { pixels } = target;
   for (let i = 0, j = 0; i < pixels.length; i += 1, j += 3) pixels[i] = (0xff000000 | rgb[j + 2] << 16 | rgb[j] << 8 | rgb[j + 1]) >>> 0;
   show(target);

@@ -1,7 +1,7 @@
 // What stands in front of the picture when no step is being played: rules, count-down, pause, outcome.
 
 import { button, labelled, make, number, select } from './element.js';
-import { LAYOUTS, SEEKERS } from './game_bar.js';
+import { options } from './game_bar.js';
 import { css } from './scales.js';
 import { episode, welcome } from './state.js';
 
@@ -11,17 +11,17 @@ const card = (...children) => make('div.card', { role: 'group', tabindex: '-1' }
 
 /** Rules in three lines, the name with its consent, and what is played. */
 export function askCard(begin, leave, taken) {
-  const limits = welcome()?.limits ?? {};
+  const { limits, layouts, seekers, catch_distance: reach, robot_colors: colors } = welcome();
   const known = localStorage.getItem(PERSON) ?? '';
-  const name = make('input', { type: 'text', maxlength: limits.person ?? 60, value: known, autocomplete: 'off', placeholder: 'optional' });
-  const consent = make('input', { type: 'checkbox', checked: known !== '' });
+  const name = make('input', { type: 'text', maxlength: limits.person, value: known, autocomplete: 'off', placeholder: 'optional' });
+  const consent = make('input', { type: 'checkbox' }); // never ticked beforehand: the next person here may be another
   const fields = {
-    games: number(3, 1, limits.games ?? 100),
-    steps: number(100, 1, limits.steps ?? 1000),
-    period: number(0.25, limits.period?.[0] || 0.05, limits.period?.[1] ?? 10, 0.05),
-    seed: number(1 + Math.floor(Math.random() * 99999), 0, 2 ** 31),
-    layout: select(LAYOUTS, 'random'),
-    seeker: select(SEEKERS, 'glancing'),
+    games: number(3, 1, limits.games),
+    steps: number(100, 1, limits.steps),
+    period: number(0.25, ...limits.period, 0.05),
+    seed: number(1 + Math.floor(Math.random() * 99999), 0, Number.MAX_SAFE_INTEGER),
+    layout: select(options(layouts)),
+    seeker: select(options(seekers)),
   };
   const submit = (event) => {
     event.preventDefault();
@@ -32,13 +32,12 @@ export function askCard(begin, leave, taken) {
     begin({ seed: value('seed'), games: value('games'), steps: value('steps'), period: value('period'), layout: fields.layout.value, seeker: fields.seeker.value, person });
   };
   const swatch = make('i.key.disc', { role: 'img', 'aria-label': 'its colour' });
-  if (welcome()) swatch.style.background = css(welcome().robot_colors.seeker);
-  const catching = Math.round(100 * (welcome()?.catch_distance ?? 0.15));
+  swatch.style.background = css(colors.seeker);
   return make('form.card.ask', { tabindex: '-1', onsubmit: submit },
     make('h2', {}, 'Play the hider'),
     make('ol.rules', {},
       make('li', {}, 'You drive the hider and see only what its camera sees. The seeker is the other robot: ', swatch, '.'),
-      make('li', {}, `You are caught when the seeker comes within ${catching} cm of you, centre to centre; you win when you last for all steps.`),
+      make('li', {}, `You are caught when the seeker comes within ${Math.round(100 * reach)} cm of you, centre to centre; you win when you last for all steps.`),
       make('li', {}, 'Arrow keys, W A S D or a gamepad: hold to drive or turn, a tap is one step. Space pauses. Boxes hide you.')),
     make('div.fields', {},
       labelled('games', fields.games, 'How many games this session has'),
@@ -51,9 +50,16 @@ export function askCard(begin, leave, taken) {
       labelled('name or pseudonym', name),
       make('label.check', {}, consent, make('span', {}, 'store it with the recording'))),
     make('p.quiet', {}, 'Your moves are recorded as those of a human. Without the tick the recording has no name.'),
-    taken ? make('p.trouble', {}, 'Somebody is playing at another page now. Wait until that game is over.') : null,
+    taken ? make('p.trouble', {}, TAKEN) : null,
     make('div.buttons', {}, make('button.primary', { type: 'submit', disabled: taken }, 'Begin (Enter)'), button('Back to watching (Esc)', leave)));
 }
+
+/** Until the console has said what may be asked. */
+export function connectCard() {
+  return card(make('p', {}, 'Connecting to the console…'));
+}
+
+const TAKEN = 'Somebody is playing at another page now. Wait until that game is over.';
 
 export function countCard(session) {
   return card(make('p.quiet', {}, `Game ${session.counted.length + 1} of ${session.options.games} starts in`),
@@ -75,7 +81,7 @@ function told(game) {
   return ['✕ No result', game.reason || 'The game was stopped.'];
 }
 
-export function outcomeCard(session, leave) {
+export function outcomeCard(session, leave, taken) {
   const { last, trouble } = session;
   const done = session.phase === 'done';
   const [title, text] = trouble || !last ? ['The session goes on', trouble ? `The next game did not start: ${trouble}.` : 'The page was loaded again.'] : told(last);
@@ -86,9 +92,10 @@ export function outcomeCard(session, leave) {
     last?.discarded ? make('p.quiet', {}, 'This game is marked as discarded and is not used as data.') : null,
     list.length ? make('ul.games', { 'aria-label': 'Games of this session' }, ...list) : null,
     make('p.quiet', {}, done ? 'The session is over. Thank you.' : `${session.counted.length} of ${session.options?.games ?? '?'} games played.`),
+    taken && !done ? make('p.trouble', {}, TAKEN) : null,
     make('div.buttons', {},
       done ? button('Another session (Enter)', () => leave(true), { class: 'primary' })
-        : button('Next game (Enter)', () => session.next(), { class: 'primary' }),
+        : button('Next game (Enter)', () => session.next(), { class: 'primary', disabled: taken }),
       last && !last.discarded ? button('Discard last (Backspace)', () => session.discard(), { title: 'The recording keeps it, marked as not to be used; you play it again' }) : null,
       button(done ? 'Watch (Esc)' : 'End session (Esc)', () => leave(false))));
 }

@@ -3,18 +3,15 @@
 import { make, panel, setText } from './element.js';
 import { onChange } from './painting.js';
 import { blank, paintPredicted, paintView } from './pictures.js';
-import { episode, gameOn, ofThisGame, payload, state, step } from './state.js';
+import { episode, gameOn, ofThisGame, payload, state, step, welcome } from './state.js';
 import { nameOf, worthOf } from './value_map.js';
-
-const BYTES = 128 * 128 * 3;
-const EMPTY = 8; // frames
 
 export class Predictions {
   /** @param {(request: Object) => boolean} send */
   constructor(send) {
     this.send = send;
     this.wanted = new Set(); // steps whose true views were asked for
-    this.of = null;
+    this.past = null; // the views known when they were
     this.title = make('p.facts', { 'aria-live': 'polite' }, ' ');
     this.row = make('div.predictions-row', { role: 'list' });
     const { root } = panel('predictions', 'Seeker’s view: predicted and true',
@@ -34,11 +31,13 @@ export class Predictions {
   }
 
   paint() {
+    if (!welcome()) return;
     const found = ofThisGame('prediction');
     this.headline(found);
     const steps = found && !found.error ? found.steps : [];
     if (this.count !== steps.length) this.build(steps.length);
     const bytes = payload('prediction');
+    const size = steps.length ? bytes.length / steps.length : 0;
     steps.forEach((at, i) => {
       const cell = this.cells[i];
       const percent = Math.round(100 * found.caught[i]);
@@ -46,7 +45,7 @@ export class Predictions {
       setText(cell.percent, `caught ${percent} %`);
       cell.percent.dataset.level = percent >= 50 ? 'high' : 'low';
       cell.root.setAttribute('aria-label', `Step ${at}: caught with ${percent} percent`);
-      paintPredicted(cell.predicted, bytes.subarray(i * BYTES, (i + 1) * BYTES));
+      paintPredicted(cell.predicted, bytes.subarray(i * size, (i + 1) * size));
     });
     this.paintTrue();
   }
@@ -70,11 +69,11 @@ export class Predictions {
   /** Without a prediction the row shows empty frames, so that nothing moves when one comes. */
   build(count) {
     this.count = count;
-    this.cells = Array.from({ length: count || EMPTY }, () => {
+    this.cells = Array.from({ length: count || welcome().horizons }, () => {
       const cell = {
         step: make('span.step'), percent: make('b.percent'), truth: make('span.quiet'),
-        predicted: make('canvas.pixels', { width: 128, height: 128, role: 'img', 'aria-label': 'predicted seeker view' }),
-        actual: make('canvas.pixels', { width: 128, height: 128, role: 'img', 'aria-label': 'true seeker view' }),
+        predicted: make('canvas.pixels', { role: 'img', 'aria-label': 'predicted seeker view' }),
+        actual: make('canvas.pixels', { role: 'img', 'aria-label': 'true seeker view' }),
       };
       cell.root = make(`div.prediction${count ? '' : '.blank'}`, { role: 'listitem' },
         make('div.caption', { title: 'Probability that the hider is caught by this step' }, cell.step, cell.percent),
@@ -88,8 +87,8 @@ export class Predictions {
   paintTrue() {
     const found = ofThisGame('prediction');
     if (!found || found.error || this.count !== found.steps.length) return;
-    if (this.of !== found.episode) {
-      this.of = found.episode;
+    if (this.past !== state.past) { // forgotten: another game, another connection, a replay that jumped
+      this.past = state.past;
       this.wanted.clear();
     }
     const missing = [];

@@ -4,7 +4,7 @@ import { make, panel, setText } from './element.js';
 import { onChange } from './painting.js';
 import { depthRange, paintColor, paintDepth, paintView } from './pictures.js';
 import { css, paintScale } from './scales.js';
-import { clockRuns, episode, header, payload, ROBOTS, state, welcome } from './state.js';
+import { clockRuns, episode, header, patience, payload, ROBOTS, state, welcome } from './state.js';
 
 const KINDS = {
   color: { title: 'colour', explanation: 'First-person colour picture' },
@@ -54,9 +54,8 @@ class Picture {
     const frame = state.frames[this.key];
     if (!frame) return;
     const age = (performance.now() - frame.arrived) / 1000;
-    const period = episode()?.rules?.step_period ?? 0.25;
     const old = frame.header.episode !== episode()?.episode;
-    const stale = !state.connected || (clockRuns() && age > Math.max(1.5, 4 * period));
+    const stale = !state.connected || (clockRuns() && age > patience());
     this.root.classList.toggle('stale', stale || old);
     setText(this.age, stale ? `${age.toFixed(0)} s old` : old ? 'last game' : `step ${frame.header.step}`);
   }

@@ -8,6 +8,7 @@ const DRIVING = /^(welcome|episode|tick|services|recording|score|session|playbac
 export const state = {
   connected: false,
   since: Date.now(), // of the present connection state
+  why: '', // what the server said when it closed
   mode: 'watch', // or 'play'
   frames: {}, // key -> {header, payload, arrived}
   paths: { hider: [], seeker: [] }, // [step, x, y] of the game `pathsOf`
@@ -16,6 +17,7 @@ export const state = {
   pastOf: null, // episode
   goal: null, // selected: a prediction is wanted
   asked: null, // goal whose prediction is under way
+  auto: null, // episode whose own goal was asked about unasked
   valuesShown: true,
   notices: [],
 };
@@ -27,8 +29,14 @@ export const episode = () => header('episode');
 
 /** Whether a game is set up or running. */
 export const gameOn = () => ['setup', 'running'].includes(episode()?.phase);
+/** Whether there is something to stop: a game is on, or others follow. */
+export const seriesOn = () => gameOn() || Boolean(header('session')?.more_games);
+/** Whether there is a pause that can be taken back, also between games. */
+export const held = () => Boolean(header('session')?.paused);
 /** Whether the step clock of a running game goes. */
 export const clockRuns = () => episode()?.phase === 'running' && !episode().paused && (header('playback')?.state ?? 'playing') === 'playing';
+/** s after which a picture of a running game should have been replaced. */
+export const patience = () => Math.max(1.5, 4 * episode().rules.step_period);
 export const replaying = () => header('playback') !== null;
 /** The step reached in the present game. */
 export function step() {
@@ -98,7 +106,7 @@ function forgetGame() {
   state.pathsOf = null;
   state.past = new Map();
   state.pastOf = null;
-  state.goal = state.asked = null;
+  state.goal = state.asked = state.auto = null;
   delete state.frames.prediction;
   touch('goal');
   touch('past');
@@ -147,7 +155,7 @@ addEventListener('pagehide', () => {
 
 function remember(number, at, bytes) {
   if (state.pastOf !== number) {
-    state.past = new Map();
+    if (state.past.size) state.past = new Map(); // another one only where something is forgotten
     state.pastOf = number;
   }
   state.past.set(at, bytes);

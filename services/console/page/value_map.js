@@ -6,13 +6,13 @@ import { css, danger, paintScale } from './scales.js';
 import { ofThisGame, state, welcome } from './state.js';
 import { color } from './theme.js';
 
-const CELL = 0.072; // m, side of a goal's square
+const PART = 0.72; // of the goals' spacing is a square's side
 
 export class ValueMap {
   constructor(arena, choose) {
     this.arena = arena;
     this.choose = choose;
-    this.focus = 60; // the middle
+    this.chosen = null; // by the keyboard or the mouse
     this.quietUntil = 0;
     this.line = make('p.facts', { 'aria-live': 'polite' }, ' ');
     this.toggle = button('Value map', () => this.show(!state.valuesShown), { 'aria-pressed': 'true', title: 'Show or hide the value map (V)' });
@@ -40,6 +40,11 @@ export class ValueMap {
     for (const kind of ['focus', 'blur']) stage.addEventListener(kind, () => touch('goal'));
   }
 
+  /** The goal under the keyboard, at first the middle one. */
+  get focus() {
+    return this.chosen ?? Math.floor(welcome().goals.length / 2);
+  }
+
   show(shown) {
     state.valuesShown = shown;
     this.toggle.setAttribute('aria-pressed', String(shown));
@@ -51,24 +56,26 @@ export class ValueMap {
     if (!welcome()) return null;
     const box = this.arena.stage.getBoundingClientRect();
     const [x, y] = this.arena.metres(event.clientX - box.left, event.clientY - box.top);
-    const goal = welcome().goals.findIndex(([gx, gy]) => Math.abs(gx - x) < 0.05 && Math.abs(gy - y) < 0.05);
+    const half = welcome().goal_spacing / 2;
+    const goal = welcome().goals.findIndex(([gx, gy]) => Math.abs(gx - x) < half && Math.abs(gy - y) < half);
     return goal < 0 ? null : goal;
   }
 
   pick(goal) {
-    this.focus = goal;
+    this.chosen = goal;
     this.point(goal);
     this.choose(goal);
   }
 
   key(event) {
-    const columns = Math.round(Math.sqrt(welcome()?.goals.length ?? 121));
+    if (!welcome()) return;
+    const columns = Math.round(Math.sqrt(welcome().goals.length));
     const row = Math.floor(this.focus / columns);
     const column = this.focus % columns;
     const move = { ArrowUp: [1, 0], ArrowDown: [-1, 0], ArrowLeft: [0, -1], ArrowRight: [0, 1] }[event.key];
     if (move) {
       const [r, c] = [Math.min(Math.max(row + move[0], 0), columns - 1), Math.min(Math.max(column + move[1], 0), columns - 1)];
-      this.focus = r * columns + c;
+      this.chosen = r * columns + c;
       this.point(this.focus);
       touch('goal');
     } else if (event.key === 'Enter') this.choose(this.focus);
@@ -89,7 +96,7 @@ export class ValueMap {
     const range = this.range();
     if (!range) return;
     const { arena } = this;
-    const side = CELL * arena.scale;
+    const side = PART * welcome().goal_spacing * arena.scale;
     const font = Math.min(arena.font, side * 0.42);
     context.font = `${font}px ${getComputedStyle(document.body).fontFamily}`;
     context.textAlign = 'center';
@@ -131,7 +138,7 @@ export class ValueMap {
     if (goal === null) return;
     const { arena } = this;
     const [gx, gy] = welcome().goals[goal];
-    const side = CELL * arena.scale + 2 * outset;
+    const side = PART * welcome().goal_spacing * arena.scale + 2 * outset;
     context.setLineDash(dash);
     for (const [line, extra] of [[color('floor'), 3], [stroke, 0]]) {
       context.strokeStyle = line;

@@ -25,12 +25,11 @@ function distance(x, y, dx, dy, [ax, ay], [bx, by]) {
  * The area in view, a polygon in m: [[x, y]..], first the camera itself.
  * @param {{x, y, heading}} pose
  * @param {number} field of view, rad
- * @param {number} range m
  * @param {Object[]} boxes
  * @param {number} width of the arena, m
  * @param {number} depth of the arena, m
  */
-export function viewOf(pose, field, range, boxes, width, depth) {
+export function viewOf(pose, field, boxes, width, depth) {
   const outlines = [[[0, 0], [width, 0], [width, depth], [0, depth]], ...boxes.map(corners)];
   const edges = outlines.flatMap((outline) => outline.map((corner, i) => [corner, outline[(i + 1) % outline.length]]));
   const angles = [];
@@ -49,7 +48,7 @@ export function viewOf(pose, field, range, boxes, width, depth) {
   for (const angle of angles) {
     const dx = Math.cos(angle);
     const dy = Math.sin(angle);
-    let far = range;
+    let far = 2 * (width + depth); // beyond the walls
     for (const [a, b] of edges) far = Math.min(far, distance(pose.x, pose.y, dx, dy, a, b));
     polygon.push([pose.x + dx * far, pose.y + dy * far]);
   }

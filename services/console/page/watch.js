@@ -8,7 +8,7 @@ import { onChange, touch } from './painting.js';
 import { Predictions } from './predictions.js';
 import { ReplayBar } from './replay_bar.js';
 import { Robots } from './robots.js';
-import { episode, gameOn, ofThisGame, replaying, state, welcome } from './state.js';
+import { episode, gameOn, ofThisGame, replaying, seriesOn, state, welcome } from './state.js';
 import { worthOf } from './value_map.js';
 import { phaseOf } from './heading.js';
 
@@ -18,8 +18,8 @@ const PATIENCE = 10000; // ms for a prediction
 export const KEYS = [
   [['g'], 'G', 'watch a game: start with what the bar says', (view) => !gameOn() && !replaying() && view.games.begin()],
   [['h'], 'H', 'play the hider', (view) => !replaying() && view.play()],
-  [[' ', 'p'], 'space or P', 'pause, go on', (view) => (replaying() ? view.replay.toggle() : gameOn() && view.games.hold())],
-  [['x'], 'X', 'stop the games', (view) => gameOn() && !replaying() && view.send({ type: 'stop' })],
+  [[' ', 'p'], 'space or P', 'pause, go on', (view) => (replaying() ? view.replay.toggle() : seriesOn() && view.games.hold())],
+  [['x'], 'X', 'stop the games', (view) => seriesOn() && !replaying() && view.games.end()],
   [['v'], 'V', 'value map on or off', (view) => view.arena.values.show(!state.valuesShown)],
   [['m'], 'M', 'keyboard into the map', (view) => view.arena.stage.focus()],
   [[','], ',', 'replay: 5 s back', (view) => view.replay.by(-5)],
@@ -31,7 +31,6 @@ export class Watch {
   constructor(send, play) {
     this.send = send;
     this.play = play;
-    this.auto = null; // episode whose own goal was asked about unasked
     this.timer = 0;
     this.arena = new Arena((goal) => this.choose(goal));
     this.robots = new Robots();
@@ -47,7 +46,7 @@ export class Watch {
     this.parts = [this.arena, this.robots, this.predictions, this.health, this.games, this.replay];
     this.unlisten = [
       onChange(['hider/plan', 'welcome'], () => this.ownGoal()),
-      onChange(['episode', 'welcome', 'playback', 'connected'], () => this.invite()),
+      onChange(['episode', 'session', 'welcome', 'playback', 'connected'], () => this.invite()),
     ];
     this.invite();
   }
@@ -79,13 +78,13 @@ export class Watch {
   /** The first prediction of a game is the one of the hider's own goal, so that the row explains itself. */
   ownGoal() {
     const plan = ofThisGame('hider/plan');
-    if (!plan?.predictable || plan.goal === null || this.auto === plan.episode || state.goal !== null) return;
-    this.auto = plan.episode;
+    if (!plan?.predictable || plan.goal === null || state.auto === plan.episode || state.goal !== null) return;
+    state.auto = plan.episode;
     this.choose(plan.goal);
   }
 
   invite() {
-    const on = gameOn() || replaying() || !state.connected || !welcome();
+    const on = seriesOn() || replaying() || !state.connected || !welcome();
     this.invitation.hidden = on;
     const game = episode();
     const kind = on ? 'none' : game ? `after ${game.episode} ${game.phase}` : 'first';
