@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import signal
 import warnings
 from collections.abc import Callable
 
@@ -12,6 +14,7 @@ from vantage.log.episodes import EpisodeLog, episodes
 from vantage.log.reader import BrokenLog
 
 BETWEEN = "['between', 'done'].includes(vantage.state.play?.phase)"
+BACKSPACE = "document.body.dispatchEvent(new KeyboardEvent('keydown', { key: 'Backspace', bubbles: true }))"
 STEP = "vantage.state.frames.tick?.header.step"
 
 
@@ -67,11 +70,14 @@ def test_a_name_is_stored_only_with_consent_and_known_the_next_time(page: Consol
     assert game.episode.players.person == "Ada"
     page.press("Enter")  # another session
     assert page.page.get_by_label("name or pseudonym").input_value() == "Ada"
+    assert not page.page.get_by_label("store it with the recording").is_checked(), "the next person may be another"
 
 
 def test_a_player_sees_nothing_but_the_hiders_eyes(page: ConsolePage) -> None:
     page.press("g")
     page.until("vantage.state.frames['seeker/pose'] && vantage.state.frames.layout")
+    page.press("h", "Escape")
+    page.until("vantage.state.mode === 'watch'")  # without a question: it is not this page's game
     page.begin_human_game(steps=200)
     page.until(f"{STEP} >= 3 && vantage.state.frames['hider/color'] || {BETWEEN}")
     held = set(page.get("Object.keys(vantage.state.frames)"))
@@ -93,11 +99,18 @@ def test_a_player_sees_nothing_but_the_hiders_eyes(page: ConsolePage) -> None:
     assert page.page.locator("canvas:visible").count() == 1, "only the hider's colour picture"
     page.press("i")
     assert page.page.locator("canvas:visible").count() == 2, "and its state image, if wished"
+    questions: list[str] = []
+    page.page.once("dialog", lambda dialog: (questions.append(dialog.message), dialog.dismiss()))
+    page.page.get_by_role("button", name="End session").click()
+    assert page.get("vantage.state.mode") == "play"
+    assert questions or page.get(BETWEEN), "a game is not ended by one click"
 
 
 def test_a_pause_holds_the_steps_and_a_reload_gives_the_wheel_back(page: ConsolePage) -> None:
     page.begin_human_game(steps=400, seed=11)
     page.until(f"{STEP} >= 2")
+    page.page.get_by_role("button", name="State image").click()
+    page.page.get_by_role("button", name="forward").click()
     page.press(" ")
     page.until("vantage.state.frames.episode.header.paused")
     assert "Paused" in page.text(".card")
@@ -120,12 +133,59 @@ def test_a_session_goes_on_and_the_last_game_can_be_taken_back(page: ConsolePage
     first = number_of(page)
     play_to_the_end(page)
     assert "1 of 2 games" in page.text(".outcome")
-    page.press("Backspace")
+    ahead = page.get(f"({BACKSPACE}, vantage.state.play.games.at(-1).discarded)")
+    assert not ahead, "not before the console says so"
     page.until("document.querySelector('.outcome').innerText.includes('0 of 2 games')")
     game_in_log(table, first, lambda game: game.discarded)
+    seed = page.get("vantage.state.frames.episode.header.seed")
     page.press("Enter")
+    page.page.keyboard.down("ArrowLeft")  # held through the count-down: it counts
     page.wait_for_game()
     assert number_of(page) != first
-    play_to_the_end(page)
-    assert not game_in_log(table, number_of(page), lambda game: game.episode.phase == "ended").discarded
+    assert page.get("vantage.state.frames.episode.header.seed") == seed, "the same game is played again"
+    page.until(BETWEEN)
+    page.page.keyboard.up("ArrowLeft")
+    again = game_in_log(table, number_of(page), lambda game: game.episode.phase == "ended")
+    assert not again.discarded
+    driven = [command.primitive for _, command in sorted(again.commands["hider"].items())]
+    assert driven.count("left") >= len(driven) - 1 > 1
     assert "1 of 2 games" in page.text(".outcome")
+
+
+def test_a_second_person_neither_takes_nor_ends_the_game(page: ConsolePage, open_page: Callable[..., ConsolePage]) -> None:
+    other = open_page()
+    page.ask_for_human_game(steps=300, seed=11)
+    other.ask_for_human_game(steps=300, seed=12)
+    page.wait_for_game()
+    other.until("vantage.state.play.phase === 'between'")
+    assert "somebody is playing at another page" in other.text(".outcome")
+    other.until("document.querySelector('.outcome button.primary').disabled")
+    other.press("Enter")
+    assert other.get("vantage.state.play.phase") == "between"
+    other.press("Escape", "h", "Enter")
+    assert other.get("vantage.state.mode") == "play"
+    assert other.page.locator(".ask button.primary").is_disabled()
+    step = page.get(STEP)
+    page.until(f"{STEP} > {step} + 2 || {BETWEEN}")
+    assert page.get("vantage.state.frames.episode.header.seed") == 11
+    assert page.get("vantage.state.frames.episode.header.phase") != "aborted"
+
+
+def test_a_start_that_nobody_answers_is_taken_back(page: ConsolePage, table: Table) -> None:
+    page.ask_for_human_game()
+    frozen = [table.pid_of(service) for service in ("referee", "recorder")]
+    for pid in frozen:
+        os.kill(pid, signal.SIGSTOP)
+    try:
+        page.until("vantage.state.play.phase === 'between'")
+        assert "the referee is silent" in page.text(".outcome")
+        assert "the recorder has gone silent" in page.text(".aside")
+    finally:
+        for pid in frozen:
+            os.kill(pid, signal.SIGCONT)
+    page.press("Escape")
+    ok = "vantage.state.frames.services?.header.services.find((each) => each.service === 'referee').state === 'ok'"
+    page.until(f"vantage.state.mode === 'watch' && vantage.state.connected && {ok}")
+    page.press("g")
+    page.until("vantage.state.frames.episode?.header.phase === 'running'")
+    assert page.get("vantage.state.frames.episode.header.players.hider") == "planner"

@@ -60,6 +60,11 @@ export class Drive {
     }
   }
 
+  /** Say all that is held, and that the rest is not: after a time in which nobody listened. */
+  sayAll() {
+    for (const [primitive, sources] of this.held) this.say(primitive, sources.size > 0);
+  }
+
   poll() {
     this.loop = requestAnimationFrame(() => this.poll());
     const pads = (navigator.getGamepads?.() ?? []).filter((pad) => pad?.connected);

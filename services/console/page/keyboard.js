@@ -19,6 +19,8 @@ const IN_THE_MAP = [['Tab, or M', 'into the map'], ['arrow keys', 'from goal to 
  * @param {Array<[string[], string, string, Function]>} table keys, their name for people, what they do, the action.
  */
 export function listen(table) {
+  // A button that was clicked with the mouse gives the keyboard back: the next space is not meant for it.
+  addEventListener('click', (event) => event.detail && event.target.closest('button')?.blur());
   addEventListener('keydown', (event) => {
     if (event.defaultPrevented || event.ctrlKey || event.metaKey || event.altKey || event.repeat) return;
     if (document.querySelector('dialog[open]')) return;

@@ -4,10 +4,10 @@ import { button, make, setText } from './element.js';
 import { Drive, PRIMITIVES } from './drive.js';
 import { onChange } from './painting.js';
 import { paintColor, paintView } from './pictures.js';
-import { askCard, countCard, outcomeCard, pauseCard, waitCard } from './play_cards.js';
+import { askCard, connectCard, countCard, outcomeCard, pauseCard, waitCard } from './play_cards.js';
 import { PlaySession } from './play_session.js';
 import { classes } from './robots.js';
-import { clockRuns, episode, header, ofThisGame, payload, state, step, welcome } from './state.js';
+import { clockRuns, episode, header, ofThisGame, patience, payload, state, step, welcome } from './state.js';
 
 const SHOWN = 'vantage-state-image';
 const ARROWS = { forward: '↑', backward: '↓', left: '↶', right: '↷' };
@@ -40,12 +40,14 @@ export class Play {
       make('div.progress', { role: 'presentation' }, this.bar),
       make('div.eyes', {}, make('figure.own-color', {}, this.color, this.age, this.cover), this.second),
       make('div.controls', {}, make('div.pad', { role: 'group', 'aria-label': 'Drive' }, ...Object.values(this.pads)),
-        button('Pause (space)', () => this.session.hold()), this.toggle, button('End session (Esc)', () => this.leave(false))));
+        button('Pause (space)', () => this.session.hold()), this.toggle, button('End session (Esc)', () => this.mayLeave() && this.leave(false))));
+    this.wheel = false; // whether what is held was said to the console
     this.drive = new Drive((primitive, held) => this.driven(primitive, held), () => this.session.hold());
     this.unlisten = [
       onChange(['hider/color', 'welcome'], () => this.paintColor()),
       onChange(['hider/view', 'welcome'], () => this.paintView()),
       onChange(['episode', 'session', 'welcome'], () => this.session.observe()),
+      onChange(['episode', 'session', 'play'], () => this.takeWheel()),
       onChange(['episode', 'session', 'welcome', 'play', 'connected'], () => this.paintCover()),
       onChange(['episode', 'tick', 'play', 'second', 'connected', 'welcome'], () => this.paintFacts()),
     ];
@@ -62,7 +64,7 @@ export class Play {
   pad(primitive) {
     const press = (held) => () => this.drive.set(primitive, 'pointer', held);
     return make(`button.${primitive}`, {
-      type: 'button', tabindex: '-1', 'aria-label': primitive, title: primitive,
+      type: 'button', tabindex: '-1', onmousedown: (event) => event.preventDefault(), 'aria-label': primitive, title: primitive,
       onpointerdown: press(true), onpointerup: press(false), onpointerleave: press(false), oncontextmenu: (event) => event.preventDefault(),
     }, ARROWS[primitive]);
   }
@@ -72,12 +74,24 @@ export class Play {
     if (this.session.phase === 'game') this.send({ type: 'drive', primitive, held });
   }
 
+  /** A key that was held before the game began, or while nobody drove, counts from the first step on. */
+  takeWheel() {
+    const wheel = this.session.phase === 'game' && PlaySession.drives();
+    if (wheel && !this.wheel) this.drive.sayAll();
+    this.wheel = wheel;
+  }
+
   showView(shown) {
     this.viewShown = shown;
     localStorage.setItem(SHOWN, String(shown));
     this.toggle.setAttribute('aria-pressed', String(shown));
     this.second.hidden = !shown;
     this.paintView();
+  }
+
+  /** Whether a game that this would end may be ended. */
+  mayLeave() {
+    return this.session.phase !== 'game' || confirm('This ends your game. Go back to watching?');
   }
 
   /** @param {boolean} again another session, else back to watching. */
@@ -116,15 +130,16 @@ export class Play {
     if (shown === this.shown) return; // a form that is being filled in must not be made anew
     this.shown = shown;
     let card = null;
-    if (session.phase === 'ask') card = askCard((options) => session.begin(options), () => this.leave(false), taken);
+    if (!welcome()) card = connectCard();
+    else if (session.phase === 'ask') card = askCard((options) => session.begin(options), () => this.leave(false), taken);
     else if (session.phase === 'count') card = countCard(session);
     else if (session.phase === 'asked' || starting) card = waitCard();
     else if (paused) card = pauseCard(session);
-    else if (session.phase !== 'game') card = outcomeCard(session, (again) => this.leave(again));
+    else if (session.phase !== 'game') card = outcomeCard(session, (again) => this.leave(again), taken);
     this.cover.replaceChildren(...(card ? [card] : []));
     this.cover.hidden = !card;
     this.root.classList.toggle('asking', session.phase === 'ask');
-    if (session.phase !== 'game') this.drive.release();
+    if (['ask', 'between', 'done'].includes(session.phase)) this.drive.release();
     // Not on a button: a space or Enter that was meant for the game must not press one.
     if (card) card.focus({ preventScroll: true });
     else document.activeElement?.blur?.();
@@ -137,16 +152,16 @@ export class Play {
     const total = rules?.maximum_steps ?? session.options?.steps ?? null;
     const over = ['between', 'done'].includes(session.phase) ? session.last : null;
     const done = playing ? step() : over?.steps ?? 0;
-    const period = rules?.step_period ?? session.options?.period ?? 0.25;
+    const period = rules?.step_period ?? session.options?.period ?? null;
     setText(this.remaining, total === null ? '–' : String(Math.max(0, total - done)));
     setText(this.seconds, total === null ? '' : `≈ ${((total - done) * period).toFixed(0)} s`);
     setText(this.step, total === null ? '–' : `${done} of ${total}`);
-    setText(this.pace, period > 0 ? `${(1 / period).toFixed(1)} steps/s` : 'as fast as you answer');
+    setText(this.pace, period === null ? '–' : period > 0 ? `${(1 / period).toFixed(1)} steps/s` : 'as fast as you answer');
     setText(this.number, session.options ? `${Math.min(session.counted.length + (over ? 0 : 1), session.options.games)} of ${session.options.games}` : '–');
     this.bar.style.width = total ? `${(100 * done) / total}%` : '0';
     const frame = state.frames['hider/color'];
     const age = frame ? (performance.now() - frame.arrived) / 1000 : 0;
-    const stale = playing && (!state.connected || (clockRuns() && age > Math.max(1.5, 4 * period)));
+    const stale = playing && (!state.connected || (clockRuns() && age > patience()));
     this.color.classList.toggle('stale', Boolean(stale));
     setText(this.age, stale ? `picture ${age.toFixed(0)} s old` : '');
     this.color.hidden = !ofThisGame('hider/color') || session.phase === 'ask';

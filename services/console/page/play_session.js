@@ -1,11 +1,13 @@
 // A person's session of several games: what comes after what. No elements here; `play.js` shows it.
 
-import { episode, gameOn, header, state, welcome } from './state.js';
+import { episode, gameOn, header, seriesOn, state, welcome } from './state.js';
 import { touch } from './painting.js';
 
 const KEPT = 'vantage-play';
 const COUNT = 3; // s before a game starts
 const PATIENCE = 12000; // ms for a game to be set up
+
+const driver = () => header('session')?.driver ?? null; // client number of the page at the wheel, 0: nobody
 
 /**
  * Phases: `ask` (rules and name) -> `count` (3, 2, 1) -> `asked` (the referee sets it up) -> `game` -> `between` -> `count` ..
@@ -19,6 +21,7 @@ export class PlaySession {
     this.games = []; // {episode, outcome, steps, discarded, reason}
     this.episode = null;
     this.before = null;
+    this.pending = false; // a start was asked for that neither began nor was taken back
     this.count = 0;
     this.trouble = '';
     this.timer = 0;
@@ -27,8 +30,12 @@ export class PlaySession {
 
   /** Whether somebody else drives the hider now. */
   static taken() {
-    const session = header('session');
-    return gameOn() && episode().players.hider === 'human' && Boolean(session?.driver) && session.driver !== welcome()?.client;
+    return gameOn() && episode().players.hider === 'human' && Boolean(driver()) && !PlaySession.drives();
+  }
+
+  /** Whether this page is at the wheel. */
+  static drives() {
+    return Boolean(driver()) && driver() === welcome()?.client;
   }
 
   get counted() {
@@ -40,13 +47,15 @@ export class PlaySession {
   }
 
   begin(options) {
+    if (PlaySession.taken()) return;
     this.options = options;
     this.games = [];
     this.next();
   }
 
   next() {
-    if (gameOn()) this.send({ type: 'stop' }); // somebody watches a game of the planner
+    if (PlaySession.taken()) return;
+    if (seriesOn()) this.send({ type: 'stop' }); // somebody watches a game of the planner
     this.trouble = '';
     this.count = COUNT;
     this.to('count');
@@ -61,25 +70,47 @@ export class PlaySession {
     clearInterval(this.timer);
     const { seed, steps, period, layout, seeker, person } = this.options;
     this.before = episode()?.episode ?? null;
-    const sent = this.send({ type: 'start', seed: seed + this.games.length, games: 1, steps, layout, hider: 'human', seeker, period, person });
+    // A game that does not count is played again: the same layout and starts.
+    const sent = this.send({ type: 'start', seed: seed + this.counted.length, games: 1, steps, layout, hider: 'human', seeker, period, person });
     if (!sent) this.fail('not connected');
     else {
+      this.pending = true;
       this.to('asked');
-      this.timer = setTimeout(() => this.phase === 'asked' && this.fail('no game was set up: is the referee running?'), PATIENCE);
+      this.wait();
     }
   }
 
+  wait() {
+    this.timer = setTimeout(() => this.phase === 'asked' && this.fail('no game was set up: is the referee running?'), PATIENCE);
+  }
+
   fail(why) {
+    clearTimeout(this.timer);
     this.trouble = why;
+    this.takeBack();
     this.to('between');
+  }
+
+  /** The console's word against what this page asked for. */
+  refused(why) {
+    if (this.phase === 'asked') this.fail(why);
+  }
+
+  /** Nobody is to be surprised by a game that begins minutes later; somebody else's game is none of ours. */
+  takeBack() {
+    if (!this.pending || !(PlaySession.drives() || (driver() === 0 && !gameOn()))) return;
+    this.pending = !this.send({ type: 'stop' });
   }
 
   /** Take in how the game stands. */
   observe() {
     const game = episode();
     if (!game) return;
-    if (this.phase === 'asked' && game.players.hider === 'human' && game.episode !== this.before) {
+    this.observeDiscard();
+    const ours = PlaySession.drives() || driver() === 0; // nobody: this page was loaded again meanwhile
+    if (this.phase === 'asked' && game.players.hider === 'human' && game.episode !== this.before && ours) {
       clearTimeout(this.timer);
+      this.pending = false;
       this.episode = game.episode;
       this.to('game');
     }
@@ -95,6 +126,15 @@ export class PlaySession {
     this.to(this.counted.length >= this.options.games ? 'done' : 'between');
   }
 
+  /** The console says what was taken back. */
+  observeDiscard() {
+    const said = header('session')?.last;
+    const { last } = this;
+    if (!said?.discarded || !last || last.discarded || said.episode !== last.episode) return;
+    last.discarded = true;
+    this.to(this.phase === 'done' ? 'between' : this.phase);
+  }
+
   hold() {
     if (this.phase === 'game') this.send({ type: episode()?.paused ? 'resume' : 'pause' });
   }
@@ -102,15 +142,14 @@ export class PlaySession {
   /** Take the last game back: the log keeps it, marked; it is played again. */
   discard() {
     if (!['between', 'done'].includes(this.phase) || !this.last || this.last.discarded) return;
-    if (!this.send({ type: 'discard', episode: this.last.episode })) return;
-    this.last.discarded = true;
-    this.to('between');
+    this.send({ type: 'discard', episode: this.last.episode });
   }
 
   leave() {
     clearInterval(this.timer);
     clearTimeout(this.timer);
     if (this.phase === 'game' && gameOn()) this.send({ type: 'stop' });
+    this.takeBack();
     this.phase = 'ask';
     this.episode = null;
     sessionStorage.removeItem(KEPT);
@@ -118,8 +157,8 @@ export class PlaySession {
 
   to(phase) {
     this.phase = phase;
-    const { options, games, episode: number, before } = this;
-    if (options) sessionStorage.setItem(KEPT, JSON.stringify({ phase, options, games, episode: number, before }));
+    const { options, games, episode: number, before, pending } = this;
+    if (options) sessionStorage.setItem(KEPT, JSON.stringify({ phase, options, games, episode: number, before, pending }));
     state.play = { phase, games, count: this.count };
     touch('play');
   }
@@ -130,6 +169,7 @@ export class PlaySession {
       const kept = JSON.parse(sessionStorage.getItem(KEPT));
       if (!kept) return;
       Object.assign(this, kept, { phase: kept.phase === 'count' ? 'between' : kept.phase });
+      if (this.phase === 'asked') this.wait();
     } catch {
       sessionStorage.removeItem(KEPT);
     }
