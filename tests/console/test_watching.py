@@ -54,6 +54,11 @@ def test_the_row_of_predictions_fills_itself_and_the_truth_comes_under_it(page: 
     page.until("document.querySelector('.actual span').hidden", timeout=20)
     first = page.get("vantage.state.frames.prediction.header.steps[0]")
     assert page.get(f"vantage.state.past.get({first}).length") == 128 * 128
+    # After the network was away for a moment the row fills itself again.
+    page.lose_connection()
+    page.until("vantage.state.connected && vantage.state.frames.prediction?.header.steps.length > 0")
+    assert page.get("vantage.state.frames.prediction.header.steps[0]") == first
+    page.until(f"vantage.state.past.get({first}) && document.querySelector('.actual span').hidden", timeout=8)
 
 
 def test_a_goal_that_is_clicked_gets_its_predicted_views(page: ConsolePage) -> None:
@@ -121,6 +126,40 @@ def test_pause_holds_the_clock_and_nothing_is_called_stale(page: ConsolePage) ->
     page.until("!vantage.state.frames.episode.header.paused")
     step = page.get("vantage.state.frames.tick?.header.step ?? 0")
     page.until(f"vantage.state.frames.tick?.header.step > {step}")
+
+
+def test_between_games_a_series_goes_on_or_is_stopped(page: ConsolePage) -> None:
+    bar = page.page.locator(".bar")
+    for label, value in (("games", "0"), ("T [steps]", "1"), ("step [s]", "1")):
+        bar.get_by_label(label, exact=True).fill(value)
+    between = "vantage.state.frames.episode.header.phase === 'ended' && vantage.state.frames.session.header.paused"
+    bar.get_by_role("button", name="Start").click()
+    page.until(RUNNING)
+    page.press(" ")  # in the only step: the game ends, the next one waits
+    page.until(between)
+    assert page.page.locator(".invitation").is_hidden()
+    first = page.get("vantage.state.frames.episode.header.episode")
+    bar.get_by_role("button", name="Go on").click()
+    page.until(f"{RUNNING} && vantage.state.frames.episode.header.episode > {first}")
+    page.press(" ")
+    page.until(between)
+    assert bar.get_by_role("button", name="Stop").is_enabled()
+    page.press("x")
+    page.until("!vantage.state.frames.session.header.more_games && !document.querySelector('.invitation').hidden")
+    assert bar.get_by_role("button", name="Stop").is_disabled()
+
+
+def test_a_console_that_is_full_says_so_until_it_is_not(page: ConsolePage) -> None:
+    page.offline = True
+    fill = "window.others = Array.from({ length: 32 }, () => new WebSocket(sockets[0].url, ['vantage']))"
+    page.get(f"sockets[0].addEventListener('close', () => {{ {fill}; }})")
+    page.get("sockets[0].close()")
+    page.until("document.getElementById('banner').textContent.includes('pages are open')")
+    assert page.get("document.querySelector('#banner [aria-hidden]').textContent").endswith(" s")
+    assert page.get("document.querySelector('#banner :not([aria-hidden])').textContent.match(/\\d+ s/)") is None
+    page.get("others.forEach((socket) => socket.close())")
+    page.until("vantage.state.connected && document.getElementById('banner').hidden")
+    page.offline = False
 
 
 def test_when_the_console_is_restarted_the_page_says_so_and_comes_back(page: ConsolePage, table: Table) -> None:

@@ -18,7 +18,7 @@ export function token() {
 export class Connection {
   /**
    * @param {(header: Object, payload: Uint8Array) => void} onFrame
-   * @param {(connected: boolean) => void} onChange
+   * @param {(connected: boolean, why: string) => void} onChange why: what the server said when it closed, or empty.
    */
   constructor(onFrame, onChange) {
     this.onFrame = onFrame;
@@ -38,17 +38,19 @@ export class Connection {
     const socket = new WebSocket(url, secret ? ['vantage', secret] : ['vantage']);
     socket.binaryType = 'arraybuffer';
     this.socket = socket;
-    socket.onopen = () => {
-      this.delay = FIRST_DELAY;
-      this.opened = true;
-      this.onChange(true);
-    };
+    let greeted = false; // a server that is full accepts, says why and closes: that is no connection
     socket.onmessage = (event) => {
-      if (this.socket === socket) this.onFrame(...parseFrame(event.data));
+      if (this.socket !== socket) return;
+      if (!greeted) {
+        greeted = this.opened = true;
+        this.delay = FIRST_DELAY;
+        this.onChange(true, '');
+      }
+      this.onFrame(...parseFrame(event.data));
     };
-    socket.onclose = () => {
+    socket.onclose = (event) => {
       if (this.socket !== socket) return; // replaced on purpose
-      this.onChange(false);
+      this.onChange(false, event.reason);
       this.timer = setTimeout(() => this.open(), this.delay);
       this.delay = Math.min(this.delay * 1.6, LONGEST_DELAY);
     };

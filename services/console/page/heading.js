@@ -56,8 +56,8 @@ export class Heading {
     setText(this.players.value, game ? `${game.players.hider} v. ${game.players.seeker}` : '–');
     const recording = header('recording');
     this.recording.dataset.state = recording?.state ?? 'off';
-    setText(this.recording, { on: '● recording', off: '○ not recording', trouble: '▲ recording trouble' }[recording?.state] ?? '○ recording –');
-    this.recording.title = recording?.reason || 'Whether the recorder writes what is on the bus';
+    const said = { on: '● recording', off: '○ not recording', trouble: '▲ recording trouble' }[recording?.state] ?? '○ recording –';
+    setText(this.recording, recording?.reason ? `${said}: ${recording.reason}` : said);
     this.recording.hidden = replaying();
     this.connection.dataset.state = state.connected ? 'ok' : 'silent';
     setText(this.connection, state.connected ? '● connected' : '✕ not connected');

@@ -7,16 +7,18 @@ import { helpDialog, listen } from './keyboard.js';
 import { onChange, painted, touch } from './painting.js';
 import { Play } from './play.js';
 import { PlaySession } from './play_session.js';
-import { forgetSecrets, gameOn, header, receive, replaying, state, welcome } from './state.js';
+import { forgetSecrets, header, receive, replaying, state, welcome } from './state.js';
 import { changeTheme } from './theme.js';
 import { KEYS, Watch } from './watch.js';
 
 window.vantage = { painted, state };
 
 const [main, footer, banner, notices] = ['main', 'footer', 'banner', 'notices'].map((name) => document.getElementById(name));
-const connection = new Connection(receive, (connected) => {
+const [lost, lostFor] = [make('span'), make('span', { 'aria-hidden': 'true' })]; // the seconds are not read out each second
+banner.append(lost, lostFor);
+const connection = new Connection(receive, (connected, why) => {
   if (state.connected !== connected) state.since = Date.now();
-  state.connected = connected;
+  Object.assign(state, { connected, why });
   touch('connected');
 });
 const send = (request) => connection.send(request);
@@ -45,7 +47,7 @@ function show(mode) {
 }
 
 function watch() {
-  if (state.mode === 'play' && gameOn() && !confirm('This ends your game. Go back to watching?')) return;
+  if (state.mode === 'play' && !view.mayLeave()) return;
   show('watch');
 }
 
@@ -74,7 +76,8 @@ onChange(['connected', 'second', 'welcome'], () => {
   if (banner.hidden) return;
   const seconds = Math.round((Date.now() - state.since) / 1000);
   const hint = !connection.opened && !token() && !welcome() ? ' If the console runs on another machine, open the address with #token= that it printed.' : '';
-  setText(banner, `No connection to the console for ${seconds} s; trying again. What you see may be old.${hint}`);
+  setText(lost, `No connection to the console${state.why ? ` (${state.why})` : ''}; trying again. What you see may be old.${hint}`);
+  setText(lostFor, ` ${seconds} s`);
 });
 
 onChange(['notice'], () => {
@@ -83,6 +86,7 @@ onChange(['notice'], () => {
     const element = make('p', { 'data-level': notice.level }, `${sign} ${notice.text}`);
     notices.append(element);
     setTimeout(() => element.remove(), 8000);
+    if (state.mode === 'play' && notice.level !== 'info') view.session.refused(notice.text);
   }
 });
 
