@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+OF_NO_GAME = frozenset({"welcome", "notice"})
+"""Keys of what is not forgotten with the games: without its welcome a page shows nothing."""
+
 
 class Outbox:
     """Never more than one frame a key, so that a slow browser costs a bounded amount of memory and sees the present."""
@@ -16,9 +19,9 @@ class Outbox:
         return len(self._frames)
 
     def put(self, key: str, frame: bytes, forget: bool = False) -> None:
-        """Add a frame, in place of an unsent one of its key; `forget`: whatever else waits is of the past."""
+        """Add a frame, in place of an unsent one of its key; `forget`: what else waits of games is of the past."""
         if forget:
-            self._frames.clear()
+            self._frames = {other: waiting for other, waiting in self._frames.items() if other in OF_NO_GAME}
         elif key not in self._frames and len(self._frames) >= self.KEYS:
             del self._frames[next(iter(self._frames))]
         self._frames[key] = frame

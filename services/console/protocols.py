@@ -188,6 +188,9 @@ def protocols(count: Count) -> tuple[type[asyncio.Protocol], type[asyncio.Protoc
         def keepalive_timeout(self) -> None:
             count("gone silent")
             super().keepalive_timeout()
+            if self.transport.get_write_buffer_size():
+                # `close` would wait until the page has taken all of it, and the page would still be at the wheel.
+                self.transport.abort()
 
         def _cut_off(self, reason: str) -> None:
             if not self.transport.is_closing():

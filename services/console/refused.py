@@ -1,4 +1,4 @@
-"""How often the web server refused somebody lately, for health."""
+"""How often the web server cut somebody off lately, for health."""
 
 from __future__ import annotations
 
@@ -9,6 +9,9 @@ from vantage.service import SECOND
 
 LATELY = 10 * SECOND
 """ns that a refusal is told of."""
+
+HARMLESS = frozenset({"no such file", "malformed request", "gone silent"})
+"""Reasons that are only counted: browsers ask for files that no page names, and a laptop goes to sleep."""
 
 
 class RefusedLately:
@@ -21,7 +24,7 @@ class RefusedLately:
 
     def add(self, counts: Mapping[str, int], now: int) -> None:
         """Take in the counts since the server started."""
-        total = Counter(dict(counts))
+        total = Counter({reason: count for reason, count in counts.items() if reason not in HARMLESS})
         self._recent.append((now, total - self._before))
         self._before = total
         self.forget_old(now)

@@ -23,6 +23,7 @@ from services.console.application import FOLDER, Application
 from services.console.events import PAGE, PageEvent, Refusals
 from services.console.frames import ALL
 from services.console.guard import Guard, needs_token, token_of
+from services.console.outbox import OF_NO_GAME
 from services.console.protocols import protocols
 from services.console.requests import MESSAGE_LIMIT
 from vantage.deployment import CONSOLE_ADDRESS
@@ -38,8 +39,8 @@ START_PATIENCE = 5.0
 STOP_PATIENCE = 0.8
 CLOSING = 0.05
 """Seconds in which pages can still be told that the console ends."""
-WAITING_LIMIT = 4096
-"""Requests of pages that wait for the core; further ones are refused."""
+PING_PERIOD, PONG_PATIENCE = 1.0, 2.0
+"""Seconds after which a page that answers no ping is gone: its held key would drive a robot on. Browsers answer by themselves."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +96,6 @@ class PageServer:
     ) -> None:
         self._settings, self._folder, self._clock, self._page = settings, folder, clock, page
         self._events: queue.SimpleQueue[PageEvent] = queue.SimpleQueue()
-        self._waiting = 0
         self._refused: Counter[str] = Counter()
         self._told: dict[str, int] = {}
         self._told_at = 0.0
@@ -128,7 +128,7 @@ class PageServer:
             raise DeviceLost(f"the token for the page cannot be kept: {error}") from error
         listening = self._listen()
         self.port = listening.getsockname()[1]
-        self._application = Application(Guard(self._settings.host, self.token), self._tell, self.count, self._page)
+        self._application = Application(Guard(self._settings.host, self.token), self._events.put, self.count, self._page)
         http, websocket = protocols(self.count)
         server = _Server(
             uvicorn.Config(
@@ -138,6 +138,8 @@ class PageServer:
                 loop="asyncio",
                 lifespan="off",
                 ws_max_size=MESSAGE_LIMIT,
+                ws_ping_interval=PING_PERIOD,
+                ws_ping_timeout=PONG_PATIENCE,
                 ws_per_message_deflate=False,
                 log_config=None,
                 access_log=False,
@@ -178,8 +180,6 @@ class PageServer:
             if self._thread is None or not self._thread.is_alive():
                 raise DeviceLost(f"the web server has stopped: {self._failure or 'it says nothing'}") from None
             return None
-        with self._lock:
-            self._waiting -= 1
         return event, self._clock()
 
     def write(self, data: bytes) -> None:
@@ -191,7 +191,7 @@ class PageServer:
             if loop is None:
                 return
             if header.forget:
-                for other in [place for place in self._unsent if client in (ALL, place[0])]:
+                for other in [place for place in self._unsent if client in (ALL, place[0]) and place[1] not in OF_NO_GAME]:
                     del self._unsent[other]
             # To the end: a frame for one page and one for all pages must not overtake each other.
             self._unsent.pop((client, header.key), None)
@@ -216,14 +216,6 @@ class PageServer:
         """Note that somebody was refused."""
         with self._lock:
             self._refused[reason] += 1
-
-    def _tell(self, event: PageEvent) -> None:
-        with self._lock:
-            if event.request is not None and self._waiting >= WAITING_LIMIT:
-                self._refused["too fast"] += 1
-                return
-            self._waiting += 1
-        self._events.put(event)
 
     def _hand_out(self) -> None:
         with self._lock:

@@ -7,16 +7,17 @@ from typing import Any
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from msgspec.structs import replace
 
 from schemas import PRIMITIVES, ColorImage, Command, Control, DepthImage, Episode, Playback, Players, Pose, Primitive, Rules
 from services.console import requests
+from services.console.core import ConsoleCore
 from services.console.events import PAGE, PageEvent
-from services.console.human import Keys
+from services.console.human import HEARD, Keys
 from services.console.wheel import GRACE
-from services.planner.core import PlannerCore
 from tests.services.console_game import Table
 from vantage.perception.state_image import perceive
-from vantage.service import SECOND, Captured
+from vantage.service import SECOND, Arrived, Captured, Publish
 
 STEPS = 12
 
@@ -363,15 +364,28 @@ def test_a_human_needs_a_pace(table: Table) -> None:
     assert not table.of("control")
 
 
-def test_in_games_of_the_planner_the_console_is_silent(table: Table) -> None:
-    rules = Rules(maximum_steps=5)
-    referee = table.network.sessions["referee"]
-    referee.publish("episode", Episode(stamp=table.now, episode=9, seed=3, phase="setup", rules=rules))
-    table.ask(requests.Drive(primitive="left", held=True))
-    table.run_for(3.0)
-    assert not commands(table)
-    assert not table.of("hider/view")
-    assert PlannerCore.declaration.outputs
+@pytest.mark.parametrize("hider", ["human", "planner"])
+def test_in_games_of_the_planner_the_console_is_silent(table: Table, hider: str) -> None:
+    """The same poses, pictures and ticks that it answers where a human drives."""
+    begin(table)
+    to_end(table)
+    core = ConsoleCore({})
+    said: list[Publish] = []
+    for received in [
+        Captured(PAGE, PageEvent(1), 1),
+        *(
+            Arrived(key, replace(message, players=Players(hider=hider)) if isinstance(message, Episode) else message)
+            for key, message in table.said
+            if key in ("episode", *HEARD)
+        ),
+    ]:
+        now = received.message.stamp if isinstance(received, Arrived) else 1
+        drive = Captured(PAGE, PageEvent(1, requests.Drive(primitive="left", held=True)), now)
+        said += [send for event in (received, drive) for send in core.step(event, now) if isinstance(send, Publish)]
+    steps = len([tick for tick in table.of("tick") if not tick.late])
+    assert steps > 3
+    keys = [send.key for send in said]
+    assert keys == (["hider/view", "hider/command"] * steps if hider == "human" else [])
 
 
 @pytest.fixture

@@ -32,7 +32,7 @@ from benchmarks.console_hostile import (
     no_token,
     upgrade,
 )
-from services.console import protocols, requests
+from services.console import protocols, requests, server
 from services.console.application import BURST, PAGES_LIMIT, TYPES, files
 from services.console.events import PageEvent, Refusals
 from services.console.frames import addressed, frame
@@ -40,7 +40,7 @@ from services.console.guard import Guard, needs_token, token_of
 from services.console.outbox import Outbox
 from services.console.rate import Rate
 from services.console.requests import MESSAGE_LIMIT, MalformedRequest, decode_request
-from services.console.server import DEFAULT_PORT, PageServer, ServerSettings
+from services.console.server import DEFAULT_PORT, PING_PERIOD, PONG_PATIENCE, PageServer, ServerSettings
 from tests.services.console_game import parse
 from vantage.deployment import CONSOLE_ADDRESS
 from vantage.service import DeviceLost
@@ -463,7 +463,31 @@ def test_a_body_that_never_ends_is_cut_off(console: Console, monkeypatch: pytest
 # Nobody waits for a browser
 
 
-def test_a_page_that_does_not_read_costs_nobody_anything_and_sees_the_present_when_it_does(console: Console) -> None:
+@pytest.mark.parametrize("busy", [False, True])
+def test_a_page_that_goes_silent_is_gone_within_seconds(console: Console, busy: bool) -> None:
+    """No answer to a ping, as when its network is gone: whatever it held would drive on. Also where unsent frames wait for it."""
+    with console.open_page() as silent, console.open_page() as honest:
+        silent.say('{"type":"drive","primitive":"forward","held":true}')
+        console.wait(lambda: len(console.asked) == 1)
+        began = time.monotonic()
+        while not any(not event.here for event in console.events):
+            console.show("hider/color", os.urandom(320 * 240 * 3) if busy else b"")
+            assert honest.receive()[0] == BINARY
+            assert time.monotonic() - began < PATIENCE, "it still counts as there"
+        assert [event.client for event in console.events if not event.here] == [1]
+        assert time.monotonic() - began < PING_PERIOD + PONG_PATIENCE + 1.0
+    assert console.count("gone silent") == 1
+
+
+def test_a_page_that_does_not_read_costs_nobody_anything_and_sees_the_present_when_it_does(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(server, "PONG_PATIENCE", 60.0)
+    with contextlib.closing(Console(tmp_path)) as console:
+        _stop_reading(console)
+
+
+def _stop_reading(console: Console) -> None:
     picture = os.urandom(320 * 240 * 3)
     with console.open_page() as honest, console.open_page() as sleeping:
         slowest = 0.0
@@ -508,6 +532,21 @@ def test_an_outbox_is_bounded_and_forgets() -> None:
     assert len(outbox) == Outbox.KEYS
     outbox.put("playback", b"y", forget=True)
     assert (outbox.take(), outbox.take()) == (b"y", None)
+
+
+def test_a_welcome_and_a_notice_outlive_what_is_forgotten(console: Console) -> None:
+    outbox = Outbox()
+    for key in ("welcome", "episode", "notice", "hider/view"):
+        outbox.put(key, key.encode())
+    outbox.put("playback", b"playback", forget=True)
+    assert [outbox.take() for _ in range(4)] == [b"welcome", b"notice", b"playback", None]
+    # And already before the event loop has come to hand them out.
+    with console.server._lock:
+        console.server._woken = True
+    for key in ("welcome", "tick", "notice"):
+        console.show(key, client=1)
+    console.show("playback", forget=True)
+    assert list(console.server._unsent) == [(1, "welcome"), (1, "notice"), (0, "playback")]
 
 
 def test_no_frame_comes_before_the_welcome(tmp_path: Path) -> None:
@@ -604,9 +643,16 @@ def test_closing_takes_less_than_a_second_whatever_pages_do(tmp_path: Path) -> N
         console.show("hider/color", bytes(230_400))
     console._stop = True
     console._thread.join()
+    serving = console.server._thread
+    assert serving is not None
     began = time.monotonic()
     console.server.close()
     assert time.monotonic() - began < 0.9
+    assert not serving.is_alive()
+    with socket.socket() as next_one:
+        next_one.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        next_one.bind(("127.0.0.1", console.target.port))
+        next_one.listen()
     console.server.close()
     for connection in (half, *(page.raw for page in pages)):
         connection.close()
