@@ -27,6 +27,7 @@ from learning.splits import SPLITS, split_of
 from schemas import ROBOTS
 from vantage.log import find_logs, open_log, source_commit
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, games_of
+from vantage.log.games import unusable
 from vantage.perception.state_image import perceive
 
 Sizes = tuple[int, int, int]
@@ -87,12 +88,8 @@ def convert_games(games: Iterable[EpisodeLog]) -> Part:
 
 def _unusable(game: EpisodeLog) -> str:
     """Return why a game cannot serve, or nothing."""
-    if game.discarded:
-        return "discarded by the player"
-    if game.episode.phase != "ended":
-        return "aborted or not finished"
-    if not game.complete:
-        return "messages missing"
+    if reason := unusable(game):
+        return reason
     if not game.episode.rules.catching:
         return "catches ignored (an evader's trajectory, to be replayed)"
     if not any(plan.path for plan in game.plans.values()):

@@ -12,7 +12,9 @@ from rich.markup import escape
 
 from services.recorder.appearance import arena_appearance
 from vantage.log.export_formats import export_to, shown_progress
-from vantage.log.reader import find_logs
+from vantage.log.games import NoSuchGame
+from vantage.log.lerobot_features import Choice
+from vantage.log.reader import NoSuchLog, find_logs
 from vantage.log.recover import recover as rewrite
 from vantage.log.report import info as describe
 from vantage.log.target import ExportError
@@ -54,9 +56,11 @@ class Recover:
 class Export:
     """Write a log for other programs.
 
-    foxglove: a copy with channels that Foxglove and Lichtblick show, and a layout file to import there.
+    foxglove: a copy with channels that Foxglove and Lichtblick show, and a layout file to import there. No format holds the
+    name of a person who played (`players.person`); the log itself keeps it.
     rerun: a recording with a ready view, a game a file.
-    lerobot: a data set for LeRobot (v3) of all finished games: lossless pictures, true times. LOG may be a folder of logs.
+    lerobot: a data set for LeRobot (v3) of all finished games: lossless pictures, true times, what the hider can know. LOG may
+    be a folder of logs.
     video: an MP4 of each game at true speed, for a browser.
 
     Examples:
@@ -66,7 +70,7 @@ class Export:
     """
 
     source: Source
-    """The log: a file, or a folder with the parts of one run (for lerobot: with any number of logs)."""
+    """The log: a file, the first part of several (NAME_000.mcap), or a folder with one log (for lerobot: with any number)."""
     to: Literal["foxglove", "rerun", "lerobot", "video"] = "foxglove"
     """For which program."""
     output: Path | None = None
@@ -74,7 +78,11 @@ class Export:
     episode: int | None = None
     """Only the game of this number, see `vantage log info`."""
     force: bool = False
-    """Replace an earlier export of that name."""
+    """Replace an earlier export of that name; nothing else is ever replaced."""
+    seeker_pictures: bool = False
+    """lerobot: also what the seeker sees. The hider cannot know it, but LeRobot's policies take every picture as an input."""
+    without_catching: bool = False
+    """lerobot: also games without catching, which every hider survives."""
 
 
 def info(settings: Info) -> int:
@@ -117,8 +125,9 @@ def export(settings: Export) -> int:
                 episode=settings.episode,
                 force=settings.force,
                 progress=progress,
+                choice=Choice(settings.seeker_pictures, settings.without_catching),
             )
-    except (OSError, ValueError, ExportError) as error:
+    except (OSError, ExportError, NoSuchGame, NoSuchLog) as error:
         return _failed("export", error)
     for text in done.said:
         console.print(escape(text), soft_wrap=True)

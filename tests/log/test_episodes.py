@@ -209,7 +209,7 @@ def test_info_says_who_drove_and_what_was_discarded(tmp_path: Path) -> None:
     messages = [*driven(1, "human", "Ada"), *driven(2, "human", ""), *driven(3, "planner", ""), control("discard", 2)]
     write_log(tmp_path / "log.mcap", records_of(messages))
     (report,) = info(tmp_path / "log.mcap")
-    assert [(game.driver, game.phase) for game in report.games.values()] == [
+    assert [(game.driver, game.phase) for game in report.games] == [
         ("human (Ada)", "ended"),
         ("human", "ended, discarded"),
         ("planner", "ended"),

@@ -8,23 +8,25 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as parquet
 import pytest
 from msgspec import structs
 from PIL import Image
 
-from schemas import PRIMITIVES, Command, Episode, Tick, encode
+from schemas import PRIMITIVES, Command, Episode, Rules, Tick, encode
 from services.recorder.appearance import arena_appearance
 from tests.log.exporting import PERSON, discard, real_log, write
 from tests.log.making import game, records_of
 from vantage.log import open_log, read
 from vantage.log.episodes import games_of
 from vantage.log.export_formats import export_to
+from vantage.log.lerobot_features import Choice
 from vantage.log.lerobot_statistics import Histogram, Total, of_rows
 from vantage.log.target import ExportError
 from vantage.perception.palette import PALETTE
 
-parquet = pytest.importorskip("pyarrow.parquet")
 LOOKS = arena_appearance()
+EVERYTHING = Choice(seeker_pictures=True, without_catching=True)
 
 
 def frames_of(folder: Path) -> list[dict[str, Any]]:
@@ -40,7 +42,7 @@ def pixels(cell: dict[str, Any]) -> np.ndarray:
 
 
 def test_every_frame_is_the_logs(tmp_path: Path) -> None:
-    export_to("lerobot", real_log(), tmp_path / "set", LOOKS)
+    export_to("lerobot", real_log(), tmp_path / "set", LOOKS, choice=EVERYTHING)
     frames = iter(frames_of(tmp_path / "set"))
     index = 0
     with open_log(real_log()) as log:
@@ -48,12 +50,12 @@ def test_every_frame_is_the_logs(tmp_path: Path) -> None:
             start = log_game.colors["hider"][0].stamp
             for step in range(log_game.steps):
                 frame = next(frames)
-                for robot in ("hider", "seeker"):
+                for robot, place in (("hider", "observation"), ("seeker", "privileged")):
                     color, depth, view = (held[robot][step] for held in (log_game.colors, log_game.depths, log_game.views))  # type: ignore[index]
-                    assert pixels(frame[f"observation.images.{robot}_color"]).tobytes() == color.data
-                    assert np.array(frame[f"observation.depth.{robot}"], "<u2").tobytes() == depth.data
+                    assert pixels(frame[f"{place}.images.{robot}_color"]).tobytes() == color.data
+                    assert np.array(frame[f"{place}.depth.{robot}"], "<u2").tobytes() == depth.data
                     seen = PALETTE[np.frombuffer(view.data, np.uint8).reshape(128, 128)]
-                    assert np.array_equal(pixels(frame[f"observation.images.{robot}_view"]), seen)
+                    assert np.array_equal(pixels(frame[f"{place}.images.{robot}_view"]), seen)
                 pose = log_game.poses["hider"][step]
                 assert frame["observation.state"] == pytest.approx((pose.x, pose.y, pose.heading), abs=1e-6)
                 command = log_game.commands["hider"][step]
@@ -70,7 +72,7 @@ def test_every_frame_is_the_logs(tmp_path: Path) -> None:
 
 
 def test_episodes_begin_and_end_with_their_own_frames(tmp_path: Path) -> None:
-    export_to("lerobot", real_log(), tmp_path / "set", LOOKS)
+    export_to("lerobot", real_log(), tmp_path / "set", LOOKS, choice=EVERYTHING)
     frames = frames_of(tmp_path / "set")
     end = 0
     for number, episode in enumerate(episodes_of(tmp_path / "set")):
@@ -85,7 +87,7 @@ def test_episodes_begin_and_end_with_their_own_frames(tmp_path: Path) -> None:
 
 
 def test_the_persons_name_does_not_go_in(tmp_path: Path) -> None:
-    export_to("lerobot", real_log(), tmp_path / "set", LOOKS)
+    export_to("lerobot", real_log(), tmp_path / "set", LOOKS, choice=EVERYTHING)
     assert {episode["vantage/hider"] for episode in episodes_of(tmp_path / "set")} == {"human"}
     for path in (tmp_path / "set").rglob("*"):
         assert path.is_dir() or PERSON.encode() not in path.read_bytes()
@@ -106,17 +108,49 @@ def test_aborted_discarded_and_incomplete_games_are_left_out_and_counted(tmp_pat
             continue
         changed.append(record)
     write(tmp_path / "log.mcap", [*changed, discard(taken_back, changed[-1])])
-    done = export_to("lerobot", tmp_path / "log.mcap", tmp_path / "set", LOOKS)
+    done = export_to("lerobot", tmp_path / "log.mcap", tmp_path / "set", LOOKS, choice=EVERYTHING)
     assert [episode["vantage/game"] for episode in episodes_of(tmp_path / "set")] == [kept]
     assert {line for line in done.said if line.startswith("left out")} == {
         f"left out: 1 game aborted ({aborted})",
-        f"left out: 1 game taken back ({taken_back})",
-        f"left out: 1 game incomplete in this log ({torn})",
+        f"left out: 1 game discarded by the player ({taken_back})",
+        f"left out: 1 game with messages missing ({torn})",
         f"left out: 1 game not finished in this log ({unfinished})",
     }
     with pytest.raises(ExportError, match="no finished game"):
         export_to("lerobot", tmp_path / "log.mcap", tmp_path / "other", LOOKS, episode=aborted)
     assert not (tmp_path / "other").exists()
+
+
+def test_what_the_hider_cannot_know_is_no_observation(tmp_path: Path) -> None:
+    """As LeRobot's policies choose: every picture, and all numbers whose name begins with `observation` or `action`."""
+    write(tmp_path / "log.mcap", records_of(game(1, 4)))
+    export_to("lerobot", tmp_path / "log.mcap", tmp_path / "set", LOOKS)
+    features = json.loads((tmp_path / "set/meta/info.json").read_text())["features"]
+    chosen = {name for name, found in features.items() if found["dtype"] == "image" or name.startswith(("observation", "action"))}
+    assert chosen == {"observation.images.hider_color", "observation.depth.hider", "observation.state", "action"}
+    assert features.keys() == frames_of(tmp_path / "set")[0].keys()
+    assert "seeker_color" not in (tmp_path / "set/README.md").read_text()
+    export_to("lerobot", tmp_path / "log.mcap", tmp_path / "all", LOOKS, choice=EVERYTHING)
+    found = json.loads((tmp_path / "all/meta/info.json").read_text())["features"]
+    assert not [name for name in found if "seeker" in name and not name.startswith("privileged.")]
+    assert "seeker_color" in (tmp_path / "all/README.md").read_text()
+
+
+def test_surviving_without_catching_is_no_success_and_not_there_unless_asked_for(tmp_path: Path) -> None:
+    uncatchable = [
+        (key, structs.replace(message, rules=Rules(catching=False)) if isinstance(message, Episode) else message)
+        for key, message in game(2, 3)
+    ]
+    write(tmp_path / "log.mcap", records_of([*game(1, 4), *uncatchable]))
+    done = export_to("lerobot", tmp_path / "log.mcap", tmp_path / "set", LOOKS)
+    assert [episode["vantage/game"] for episode in episodes_of(tmp_path / "set")] == [1]
+    assert "left out: 1 game without catching, see --without-catching (2)" in done.said
+    export_to("lerobot", tmp_path / "log.mcap", tmp_path / "both", LOOKS, choice=EVERYTHING)
+    found = episodes_of(tmp_path / "both")
+    assert [(episode["vantage/game"], episode["vantage/catching"]) for episode in found] == [(1, True), (2, False)]
+    assert [frame["next.success"] for frame in frames_of(tmp_path / "both")] == [False] * 3 + [True] + [False] * 3
+    assert "In 1 of the games catches were ignored" in (tmp_path / "both/README.md").read_text()
+    assert "catches were ignored" not in (tmp_path / "set/README.md").read_text()
 
 
 def test_a_robot_that_was_late_stayed(tmp_path: Path) -> None:
@@ -152,7 +186,7 @@ def test_a_folder_of_logs_is_one_data_set_and_sizes_must_agree(tmp_path: Path) -
     assert [episode["vantage/log"] for episode in episodes_of(tmp_path / "set")] == ["1.mcap", "2.mcap"]
     (logs / "3.mcap").write_bytes(real_log().read_bytes())
     with pytest.raises(ExportError, match="a data set has one size"):
-        export_to("lerobot", logs, tmp_path / "mixed", LOOKS)
+        export_to("lerobot", logs, tmp_path / "mixed", LOOKS, choice=EVERYTHING)
     assert not (tmp_path / "mixed").exists()
 
 

@@ -6,7 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pytest
+from rerun.chunk import RrdReader
 
 from schemas import Episode
 from services.recorder.appearance import arena_appearance
@@ -14,15 +14,12 @@ from tests.log.exporting import PERSON, real_log
 from vantage.log import read
 from vantage.log.export_formats import export_to
 
-pytest.importorskip("rerun")
 LOOKS = arena_appearance()
 RERUN = Path(sys.executable).parent / "rerun"
 
 
 def rows_of(path: Path) -> dict[str, int]:
     """Entity -> rows that are not static, as Rerun's own statistics print them."""
-    from rerun.chunk import RrdReader
-
     counts: dict[str, int] = {}
     for chunk in RrdReader(path).stream():
         if not chunk.is_static:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import av
 import numpy as np
 import pytest
 from msgspec import structs
@@ -17,7 +18,6 @@ from vantage.log.episodes import games_of
 from vantage.log.export_formats import export_to
 from vantage.world.arena import HIDER_COLOR, SEEKER_COLOR
 
-av = pytest.importorskip("av")
 LOOKS = arena_appearance()
 
 

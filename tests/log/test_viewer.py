@@ -33,6 +33,7 @@ from tests.golden.make_log import GOLDEN, example
 from tests.log.making import game, records_of, write_log
 from vantage.log import LogWriter, RunMetadata, read
 from vantage.log.export import export
+from vantage.log.reader import NoSuchLog
 from vantage.log.viewer import Viewer, value_picture
 from vantage.perception.palette import PALETTE
 
@@ -226,5 +227,5 @@ def test_export_joins_parts_and_refuses_several_logs(tmp_path: Path) -> None:
     export(tmp_path / "runs", tmp_path / "one.mcap", Viewer(arena_appearance()))
     assert list(read(tmp_path / "one.mcap")) == records
     write_log(tmp_path / "runs" / "b.mcap", records)
-    with pytest.raises(ValueError, match="holds 2 logs"):
+    with pytest.raises(NoSuchLog, match="holds 2 logs"):
         export(tmp_path / "runs", tmp_path / "two.mcap", Viewer(arena_appearance()))

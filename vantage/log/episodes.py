@@ -22,6 +22,8 @@ from schemas import (
     StateImage,
     Tick,
 )
+from vantage.log.games import WORD_TOPICS, Games, Word
+from vantage.log.games import games_of as heard
 from vantage.log.reader import Log, Record
 
 EPISODE_TOPICS: frozenset[str] = frozenset(
@@ -38,6 +40,7 @@ class EpisodeLog:
     Attributes:
         episode: the last word of the referee: phase `ended` or `aborted`, or how far it had come when the log stopped (within a
             pause: `running` and `paused`).
+        place: among the games of the log, from 0.
         layout: None when the log lacks it.
         poses, depths, colors, commands, views: robot -> step -> message.
         plans: step -> message.
@@ -49,6 +52,7 @@ class EpisodeLog:
     """
 
     episode: Episode
+    place: int = 0
     layout: Layout | None = None
     poses: dict[Robot, dict[int, Pose]] = field(default_factory=lambda: {robot: {} for robot in ROBOTS})
     depths: dict[Robot, dict[int, DepthImage]] = field(default_factory=lambda: {robot: {} for robot in ROBOTS})
@@ -88,25 +92,25 @@ class EpisodeLog:
         )
 
     def add(self, key: str, message: Message) -> None:
-        """Take a message of this game; the newest of a step counts."""
+        """Take a message of this game, other than the referee's words; a layout only until the game is over.
+
+        Of a step that is there twice, the first counts (what comes later may be of a game of the same number whose set-up is
+        still to come), but of plans the newest."""
         robot: Robot = "seeker" if key.startswith("seeker/") else "hider"
         match message:
-            case Episode():
-                # A restarted referee declares the last game it hears of aborted, also one that had ended.
-                if (self.episode.phase, message.phase) != ("ended", "aborted"):
-                    self.episode = message
             case Layout():
-                self.layout = message
+                if self.layout is None or self.episode.phase in ("setup", "running"):
+                    self.layout = message
             case Pose():
-                self.poses[robot][message.step] = message
+                self.poses[robot].setdefault(message.step, message)
             case DepthImage():
-                self.depths[robot][message.step] = message
+                self.depths[robot].setdefault(message.step, message)
             case ColorImage():
-                self.colors[robot][message.step] = message
+                self.colors[robot].setdefault(message.step, message)
             case Command():
-                self.commands[robot][message.step] = message
+                self.commands[robot].setdefault(message.step, message)
             case StateImage():
-                self.views[robot][message.step] = message
+                self.views[robot].setdefault(message.step, message)
             case Plan():
                 self.plans[message.step] = message
             case Tick():
@@ -116,18 +120,15 @@ class EpisodeLog:
 
 
 def episodes(records: Iterable[Record]) -> Iterator[EpisodeLog]:
-    """Group the messages of a log into games, in the order in which they were set up.
+    """Group the messages of a log into games, in the order in which they were set up; see `vantage.log.games` for the rules.
 
-    A message belongs to the game whose number it carries, wherever it stands in the log (publishers are not ordered among each
-    other), as long as it comes before the set-up of the next game but one. A number that is set up again with another seed is a
-    new game.
-
-    A game that is discarded while a later one but one is played has been handed out by then: see `games_of`.
+    A game is handed out when the next but one is set up: if it is discarded later than that, see `games_of`.
 
     Args:
         records: of one log, in order: `read(path, topics=EPISODE_TOPICS)`.
     """
-    games: dict[int, EpisodeLog] = {}
+    games = Games()
+    held: dict[int, EpisodeLog] = {}  # by place
     early: dict[int, list[tuple[str, Message]]] = {}
     for record in records:
         if record.key not in EPISODE_TOPICS:
@@ -135,70 +136,49 @@ def episodes(records: Iterable[Record]) -> Iterator[EpisodeLog]:
         try:
             message = record.decode()
         except MalformedMessage:
-            for game in _under_way(games):
-                game.malformed += 1
+            for log in _under_way(held):
+                log.malformed += 1
             continue
         if isinstance(message, Gap):
             if message.key in EPISODE_TOPICS:
-                for game in _under_way(games):
-                    game.lost += message.missed
+                for log in _under_way(held):
+                    log.lost += message.missed
             continue
         number = message.episode
-        if number == 0:
-            continue
         if isinstance(message, Control):
-            if message.action == "discard" and number in games:
-                games[number].discarded = True
-            continue
-        if isinstance(message, Episode) and message.phase == "setup":
-            known = games.get(number)
-            if known is not None and known.episode.seed != message.seed:
-                yield games.pop(number)
-                known = None
-            if known is None:
-                while len(games) > 1:
-                    yield games.pop(next(iter(games)))
-                games[number] = EpisodeLog(message)
-                for key, waiting in early.pop(number, ()):
-                    games[number].add(key, waiting)
-                continue
-        if number in games:
-            games[number].add(record.key, message)
+            discarded = games.heed(record.log_time, message)
+            if discarded is not None and discarded.place in held:
+                held[discarded.place].discarded = True
         elif isinstance(message, Episode):
-            # The log begins within a game.
-            games[number] = EpisodeLog(message)
+            game = games.hear(Word(record.log_time, record.publisher, message))
+            if game is None:
+                continue
+            if game.place in held:
+                held[game.place].episode = game.episode
+                continue
+            while len(held) > 1:
+                yield held.pop(next(iter(held)))
+            held[game.place] = EpisodeLog(message, game.place)
             for key, waiting in early.pop(number, ()):
-                games[number].add(key, waiting)
-        else:
+                held[game.place].add(key, waiting)
+        elif number:
+            game = games.owner(number)
+            if game is not None:
+                held[game.place].add(record.key, message)
+                continue
             early.setdefault(number, []).append((record.key, message))
             while len(early) > 2:
                 early.pop(next(iter(early)))
-    yield from games.values()
+    yield from held.values()
 
 
 def games_of(log: Log, topics: Collection[str] = EPISODE_TOPICS) -> Iterator[EpisodeLog]:
     """Group the messages of a log into games, as `episodes`, and know of each whether it was discarded, however much later."""
     controlled = any(channel.topic == "control" for file in log.files for channel in file.channels.values())
-    discarded = _discarded(log.records(("episode", "control"))) if controlled else frozenset()
+    words = heard(log.records(WORD_TOPICS)) if controlled else []
     for game in episodes(log.records(topics)):
-        game.discarded |= (game.number, game.episode.seed) in discarded
+        game.discarded |= game.place < len(words) and words[game.place].discarded
         yield game
-
-
-def _discarded(records: Iterable[Record]) -> frozenset[tuple[int, int]]:
-    """Return the games that were discarded as (number, seed): a wish means the newest game of its number."""
-    seeds: dict[int, int] = {}
-    found = set()
-    for record in records:
-        try:
-            message = record.decode()
-        except MalformedMessage:
-            continue
-        if isinstance(message, Episode):
-            seeds[message.episode] = message.seed
-        elif isinstance(message, Control) and message.action == "discard" and message.episode in seeds:
-            found.add((message.episode, seeds[message.episode]))
-    return frozenset(found)
 
 
 def _under_way(games: dict[int, EpisodeLog]) -> list[EpisodeLog]:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
-from schemas import TOPICS
+from msgspec import structs
+
+from schemas import TOPICS, Control, Episode, MalformedMessage, encode
+from vantage.log.file import first_metadata
 from vantage.log.foxglove_layout import SUFFIX, as_json, layout_of
-from vantage.log.games import GameOutline, time_span
-from vantage.log.metadata import PART, VIEWER_PREFIX
-from vantage.log.reader import Log, find_logs, open_log
-from vantage.log.target import Progress, TargetExists, in_silence, whole
+from vantage.log.games import WORD_TOPICS
+from vantage.log.metadata import EXPORTED, PART, VIEWER_PREFIX
+from vantage.log.outline import GameOutline, time_span
+from vantage.log.reader import Log, Record, open_log, parts_of
+from vantage.log.target import ExportError, Progress, in_silence, require_free, whole
 from vantage.log.viewer import Viewer, ViewerMessage
 from vantage.log.writer import LogWriter
 
@@ -26,32 +32,52 @@ def export(source: Path, target: Path, viewer: Viewer) -> tuple[int, list[str]]:
         (messages of the original copied, what could not be read).
 
     Raises:
-        FileNotFoundError: no log there.
+        NoSuchLog: not one log is there.
         TargetExists: the target exists.
-        ValueError: the folder holds several logs.
         OSError: the disk.
     """
-    with open_log(*only_log(source)) as log:
+    with open_log(*parts_of(source)) as log:
         return export_log(log, target, viewer), log.breaks
-
-
-def only_log(source: Path) -> list[Path]:
-    """Return the parts of the one log at `source`.
-
-    Raises:
-        FileNotFoundError: no log there.
-        ValueError: the folder holds several logs.
-    """
-    logs = find_logs(source)
-    if len(logs) > 1:
-        names = ", ".join(parts[0].name for parts in logs[:5])
-        raise ValueError(f"{source} holds {len(logs)} logs ({names}, ...): name one of them")
-    return logs[0]
 
 
 def layout_path(target: Path) -> Path:
     """Return where the layout lies that belongs to an exported file."""
     return target.with_suffix(SUFFIX)
+
+
+def _is_copy(path: Path) -> bool:
+    return path.is_file() and EXPORTED in first_metadata(path)
+
+
+def _is_layout(path: Path) -> bool:
+    try:
+        return "configById" in json.loads(path.read_text())
+    except (OSError, ValueError, TypeError):
+        return False
+
+
+def _records_of(log: Log, game: GameOutline) -> Iterator[Record]:
+    """What was recorded in the time of a game, and that it was discarded afterwards."""
+    for record in log.records(after=game.first_time - 1):
+        if record.log_time > game.last_time:
+            break
+        yield record
+    discarded_at = game.game.discarded_at
+    if discarded_at is not None and discarded_at > game.last_time:
+        yield next(log.records(("control",), after=discarded_at - 1))
+
+
+def _without_person(record: Record) -> bytes | None:
+    """Return the payload without the name of who played; None where it cannot be told whether one is in it."""
+    if record.key not in WORD_TOPICS:
+        return record.payload
+    try:
+        message = record.decode()
+    except MalformedMessage:
+        return None
+    if not isinstance(message, Control | Episode) or not message.players.person:
+        return record.payload
+    return encode(structs.replace(message, players=structs.replace(message.players, person="")))
 
 
 def export_log(
@@ -65,13 +91,15 @@ def export_log(
 ) -> int:
     """Write an open log; see `export`. Returns how many messages of the original were copied.
 
+    The name of a person (`players.person`) is blanked; `episode` and `control` messages that do not decode are left out.
+
     Args:
-        game: only the time of this game.
+        game: only the time of this game, and that it was discarded.
     """
+    sources = [file.path for file in log.files]
     layout = layout_path(target)
-    if layout.exists() and not force:
-        raise TargetExists(layout)
-    metadata = {name: value for name, value in log.metadata.items() if name != PART}
+    require_free(layout, force, _is_layout)
+    metadata = {name: value for name, value in log.metadata.items() if name != PART} | {EXPORTED: "foxglove"}
     first, last = (game.first_time, game.last_time) if game else time_span(log)
     shown: set[str] = set()
 
@@ -80,29 +108,38 @@ def export_log(
         shown.update(VIEWER_PREFIX + message.topic for message in messages)
         return messages
 
-    count = 0
-    with whole(target, force=force) as partial:
+    def copied(writer: LogWriter, records: Iterable[Record]) -> int:
+        count = 0
+        for record in records:
+            payload = _without_person(record)
+            if payload is None:
+                continue
+            count += 1
+            if count % 256 == 0:
+                progress("writing", (record.log_time - first) / max(last - first, 1))
+            writer.write(
+                record.key,
+                payload,
+                log_time=record.log_time,
+                publish_time=record.publish_time,
+                sequence=record.sequence,
+                publisher=record.publisher,
+                well_formed=record.well_formed or record.key not in TOPICS,
+            )
+            if writer.error is not None:
+                break
+        return count
+
+    with whole(target, force=force, is_ours=_is_copy, sources=sources) as partial:
         with LogWriter(partial, metadata, viewer=translate) as writer:
-            for record in log.records(after=first - 1 if game is not None else -1):
-                if game is not None and record.log_time > last:
-                    break
-                count += 1
-                if count % 256 == 0:
-                    progress("writing", (record.log_time - first) / max(last - first, 1))
-                writer.write(
-                    record.key,
-                    record.payload,
-                    log_time=record.log_time,
-                    publish_time=record.publish_time,
-                    sequence=record.sequence,
-                    publisher=record.publisher,
-                    well_formed=record.well_formed or record.key not in TOPICS,
-                )
-                if writer.error is not None:
-                    break
-        if writer.error is not None:
-            raise OSError(writer.error.replace(str(partial), str(target)))
-        with whole(layout, force=force) as partial_layout:
+            count = copied(writer, log.records() if game is None else _records_of(log, game))
+            # Noted here, because closing writes what is left, which may be small enough to succeed.
+            failure = writer.error
+        failure = failure or writer.error
+        if failure is not None or writer.dropped:
+            why = (failure or "messages were lost").partition("; messages dropped")[0].rpartition(": ")[2]
+            raise ExportError(f"{target}: {why}")
+        with whole(layout, force=force, is_ours=_is_layout) as partial_layout:
             partial_layout.write_text(as_json(layout_of(shown)))
     progress("writing", 1.0)
     return count

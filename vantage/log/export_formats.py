@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -13,10 +14,12 @@ from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeRemaini
 from rich.progress import Progress as Bar
 
 from vantage.log.appearance import Appearance
-from vantage.log.export import export_log, layout_path, only_log
-from vantage.log.games import GameOutline, outline
-from vantage.log.reader import Log, find_logs, open_log
-from vantage.log.target import ExportError, Progress, in_silence
+from vantage.log.export import export_log, layout_path
+from vantage.log.games import find_game
+from vantage.log.lerobot_features import Choice
+from vantage.log.outline import GameOutline, called, outline, time_span
+from vantage.log.reader import Log, find_logs, open_log, parts_of
+from vantage.log.target import ExportError, Progress, in_silence, require_free
 from vantage.log.viewer import Viewer
 
 Format = Literal["foxglove", "rerun", "lerobot", "video"]
@@ -46,6 +49,7 @@ def export_to(
     episode: int | None = None,
     force: bool = False,
     progress: Progress = in_silence,
+    choice: Choice | None = None,
 ) -> Done:
     """Export the log at `source`.
 
@@ -54,24 +58,32 @@ def export_to(
         looks: what things look like.
         episode: only this game.
         force: replace an earlier export.
+        choice: of what comes into a data set.
 
     Raises:
-        ExportError: it cannot be done; the text says why.
-        ValueError: several logs where one is wanted.
+        ExportError, NoSuchGame, NoSuchLog: it cannot be done; the text says why.
         OSError: the disk, or there is no log.
     """
+    choice = choice or Choice()
     source = Path(source)
-    stem = source.stem if source.suffix == ".mcap" else source.name or source.resolve().name
+    if source.name in ("", ".."):
+        source = source.resolve()
+    if not source.name:
+        raise ExportError(f"{source} has no name that an export could have: name the log")
+    stem = source.stem if source.suffix == ".mcap" else source.name
     if format == "lerobot":
-        return _to_lerobot(source, output or source.with_name(f"{stem}-lerobot"), looks, episode, force, progress)
-    with open_log(*only_log(source)) as log:
+        return _to_lerobot(source, output or source.with_name(f"{stem}-lerobot"), looks, episode, force, progress, choice)
+    with open_log(*parts_of(source)) as log:
+        _require_messages(source, log)
         games = outline(log, progress) if format != "foxglove" or episode is not None else []
         if episode is not None:
-            games = [_game(games, episode)]
+            games = [find_game(games, episode)]
         if format == "foxglove":
             target = output or source.with_name(f"{stem}-viewer.mcap")
-            count = export_log(log, target, Viewer(looks), game=games[0] if games else None, force=force, progress=progress)
-            done = Done([f"{target}: {count} messages, and what Foxglove, Lichtblick and Rerun show of them"])
+            game = games[0] if games else None
+            count = export_log(log, target, Viewer(looks), game=game, force=force, progress=progress)
+            which = "" if game is None else f"{called(game)}: "
+            done = Done([f"{target}: {which}{count} messages, and what Foxglove, Lichtblick and Rerun show of them"])
             done.said.append(f"{layout_path(target)}: a layout; import it in Foxglove or Lichtblick")
         else:
             done = _by_game(format, log, games, stem, source, output, looks, force, progress)
@@ -92,12 +104,28 @@ def shown_progress(console: Console) -> Iterator[Progress]:
         yield progress
 
 
-def _game(games: list[GameOutline], episode: int) -> GameOutline:
-    chosen = [game for game in games if game.number == episode]
-    if not chosen:
-        numbers = ", ".join(str(game.number) for game in games[:20]) + (", ..." if len(games) > 20 else "")
-        raise ExportError(f"there is no game {episode} in this log; there is: {numbers or 'none'}")
-    return chosen[-1]
+def _require_messages(source: Path, log: Log) -> None:
+    if time_span(log) == (0, 0):
+        why = "; ".join(log.breaks) or "it holds none"
+        raise ExportError(f"{source}: no message can be read from it: {why}")
+
+
+def file_names(games: Sequence[GameOutline]) -> list[str]:
+    """Return a name for each game that no other has: by number, where that comes again by seed, too, else also by turn."""
+    numbers = Counter(game.number for game in games)
+    seeds = Counter((game.number, game.episode.seed) for game in games)
+    turns: Counter[tuple[int, int]] = Counter()
+    names = []
+    for game in games:
+        known = game.number, game.episode.seed
+        turns[known] += 1
+        name = f"game-{game.number:04d}"
+        if numbers[game.number] > 1:
+            name += f"-seed-{game.episode.seed}"
+        if seeds[known] > 1:
+            name += f"-{turns[known]}"
+        names.append(name)
+    return names
 
 
 def _by_game(
@@ -116,17 +144,19 @@ def _by_game(
         raise ExportError("this log holds no game with a pose in it, so there is nothing to show")
     write: Callable[..., str]
     if format == "rerun":
+        from vantage.log.rerun_recording import is_recording as is_ours
         from vantage.log.rerun_recording import write_recording as write
     else:
+        from vantage.log.video import is_video as is_ours
         from vantage.log.video import write_video as write
     ending = ENDINGS[format]
     if len(games) == 1:
         targets = [output or source.with_name(stem + ending)]
     else:
         folder = output or source.with_name(f"{stem}-{format}")
-        targets = [folder / f"game-{game.number:04d}{ending}" for game in games]
-        if len(set(targets)) < len(targets):
-            targets = [folder / f"game-{game.number:04d}-seed-{game.episode.seed}{ending}" for game in games]
+        targets = [folder / f"{name}{ending}" for name in file_names(games)]
+    for target in targets:
+        require_free(target, force, is_ours, [file.path for file in log.files])
     done = Done()
     for number, (game, target) in enumerate(zip(games, targets, strict=True)):
         share = f"game {game.number}: " if len(games) > 1 else ""
@@ -138,14 +168,23 @@ def _by_game(
     return done
 
 
-def _to_lerobot(source: Path, target: Path, looks: Appearance, episode: int | None, force: bool, progress: Progress) -> Done:
+def _to_lerobot(
+    source: Path,
+    target: Path,
+    looks: Appearance,
+    episode: int | None,
+    force: bool,
+    progress: Progress,
+    choice: Choice,
+) -> Done:
     from vantage.log.lerobot_export import write_dataset
 
     done = Done()
-    logs = find_logs(source)
-    if episode is not None:
-        only_log(source)
-    summary = write_dataset(logs, target, looks, episode=episode, force=force, progress=progress)
+    logs = find_logs(source) if source.is_dir() and episode is None else [parts_of(source)]
+    if len(logs) == 1:
+        with open_log(*logs[0]) as log:
+            _require_messages(source, log)
+    summary = write_dataset(logs, target, looks, episode=episode, force=force, progress=progress, choice=choice)
     done.said.append(f"{target}: {summary.episodes} episodes, {summary.frames} frames")
     done.said += summary.left_out
     done.breaks += summary.breaks

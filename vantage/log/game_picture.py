@@ -23,7 +23,7 @@ from schemas import (
     StateImage,
 )
 from vantage.log.appearance import Appearance, Picture, row_repeats, value_picture
-from vantage.log.games import GameOutline
+from vantage.log.outline import GameOutline, called
 from vantage.log.target import optional
 
 WIDTH, HEIGHT = 1280, 720
@@ -92,7 +92,7 @@ class GamePicture:
         if step >= self._game.steps:
             ending = {"caught": f"caught at step {said.caught_step}", "survived": "survived"}
             outcome = "   " + ending.get(said.outcome, said.phase)
-        text = f"game {said.episode}   step {step} of {said.rules.maximum_steps}   {seconds:.2f} s{outcome}"
+        text = f"{called(self._game)}   step {step} of {said.rules.maximum_steps}   {seconds:.2f} s{outcome}"
         pen.text((20, 16), text, fill=_INK, font=self._fonts[24])
         who = f"seed {said.seed}, hider: {said.players.hider}, seeker: {said.players.seeker}, layout: {said.rules.layout}"
         self._label(pen, 20, 56, who[:90])

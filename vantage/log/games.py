@@ -1,228 +1,219 @@
-"""The games of a log without their pictures, and their steps one after the other: for logs larger than memory.
+"""Which games a log holds: the one reading of what the referee, and those who discard games, say.
 
-`episodes` holds whole games; here a first pass over the log notes which steps of each game it has, so that a second pass can
-hand out each step as soon as its messages are together, whatever order the publishers came in.
+Whatever groups messages into games (`episodes`, `outline`, a report, a replay) does it by `Games`:
+
+* A set-up begins a game, unless it is the newest of its number said again (same stamp, same seed). So does a word on a number
+  that was never set up: the log begins within that game. A game is told by its place in the log, because numbers and seeds come
+  again.
+* A message belongs to the newest game of its number, as long as that is one of the two games set up last: publishers are not
+  ordered among each other, but not that far apart.
+* A game that ended stays so: a restarted referee declares the last game it hears of aborted. Seed, rules and players are those
+  of the first word, because that referee does not know them.
+* A discard means the newest game of its number, however long ago that was.
 """
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
+from datetime import datetime
+from typing import Protocol, TypeVar
 
-from schemas import ROBOTS, Control, Episode, Gap, Layout, MalformedMessage, Message, Robot, Tick
-from vantage.log.episodes import EPISODE_TOPICS
-from vantage.log.reader import Log
-from vantage.log.target import Progress, in_silence
+from msgspec import structs
 
-_PARTS = ("pose", "depth", "color")
+from schemas import Control, Episode, MalformedMessage
+from vantage.log.reader import MOST_LISTED, Record
+
+WORD_TOPICS = ("episode", "control")
+"""What has to be read to know the games."""
 
 
-@dataclass
-class GameOutline:
-    """What a log has of one game.
+@dataclass(frozen=True, slots=True)
+class Word:
+    """Something the referee said of a game, at a log time (ns)."""
+
+    time: int
+    publisher: str
+    said: Episode
+
+
+@dataclass(slots=True)
+class Game:
+    """One game of a log.
 
     Attributes:
-        episode: the last word of the referee.
-        begins: log time from which on messages of this number belong to this game (0: all that came before, too), ns.
-        first_time, last_time: log times of its first and last message, ns.
-        held: key -> bit mask of the steps that the log has.
-        late: step -> robots that stayed because their command did not come in time.
-        layout: the arena, None when the log lacks it.
-        lost, malformed: messages of the game that are missing, or did not decode.
-        discarded: somebody said later (`control`) that the game is not to be used as data.
+        place: among the games of the log, from 0.
+        words: of the referee, as far as they are believed, in order; the first is the set-up, unless the log begins within the
+            game.
+        since: log time after which messages of this number belong to this game and not to an earlier one, ns; -1: all before.
+        discarded_at: log time at which somebody said (`control`) that the game is not to be used as data, ns; None: nobody did.
     """
 
-    episode: Episode
-    begins: int
-    first_time: int
-    last_time: int
-    held: dict[str, int] = field(default_factory=dict)
-    late: dict[int, tuple[Robot, ...]] = field(default_factory=dict)
-    layout: Layout | None = None
-    lost: int = 0
-    malformed: int = 0
-    discarded: bool = False
+    place: int
+    words: list[Word] = field(default_factory=list)
+    since: int = -1
+    discarded_at: int | None = None
+
+    @property
+    def discarded(self) -> bool:
+        """Whether it is not to be used as data."""
+        return self.discarded_at is not None
 
     @property
     def number(self) -> int:
-        """The episode's number."""
-        return self.episode.episode
+        return self.words[0].said.episode
 
     @property
-    def steps(self) -> int:
-        """Steps played: the last step that has both poses."""
-        return max((self.held.get("hider/pose", 0) & self.held.get("seeker/pose", 0)).bit_length() - 1, 0)
+    def start(self) -> int:
+        """Log time of the first word, ns."""
+        return self.words[0].time
 
     @property
-    def complete(self) -> bool:
-        """Whether the game is data: whole, and not discarded."""
-        return self.whole and not self.discarded
-
-    @property
-    def whole(self) -> bool:
-        """Whether the game ended by the rules and nothing of layout, poses, depth and colour pictures is missing."""
-        if self.episode.phase != "ended" or self.layout is None or self.lost or self.malformed:
-            return False
-        return all(self.has(f"{robot}/{part}", self.steps + 1) for robot in ROBOTS for part in _PARTS)
-
-    def has(self, key: str, count: int) -> bool:
-        """Return whether the log has steps 0 .. `count` - 1 of a key."""
-        expected = (1 << count) - 1
-        return self.held.get(key, 0) & expected == expected
-
-    def has_step(self, key: str, step: int) -> bool:
-        """Return whether the log has this step of a key."""
-        return bool(self.held.get(key, 0) >> step & 1)
-
-    def stayed(self, robot: Robot, step: int) -> bool:
-        """Return whether the robot stayed at a step because its command did not come in time."""
-        return robot in self.late.get(step, ())
+    def episode(self) -> Episode:
+        """How it stands: the last word, with seed, rules and players of the first."""
+        first, last = self.words[0].said, self.words[-1].said
+        return structs.replace(last, seed=first.seed, rules=first.rules, players=first.players)
 
 
-def outline(log: Log, progress: Progress = in_silence) -> list[GameOutline]:
-    """Go through a log once and return its games, in the order in which they were set up.
+class Games:
+    """Hears the words of a log one after the other.
 
-    Messages are assigned as `vantage.log.episodes.episodes` does it; nothing but step numbers is kept.
+    Attributes:
+        all: the games so far, in order.
     """
-    games: list[GameOutline] = []
-    newest: dict[int, GameOutline] = {}
-    early: dict[int, GameOutline] = {}
-    first, last = time_span(log)
-    for count, record in enumerate(log.records(EPISODE_TOPICS)):
-        if count % 256 == 0:
-            progress("reading", (record.log_time - first) / max(last - first, 1))
-        try:
-            message = record.decode()
-        except MalformedMessage:
-            for game in _under_way(games):
-                game.malformed += 1
-            continue
-        if isinstance(message, Gap):
-            if message.key in EPISODE_TOPICS:
-                for game in _under_way(games):
-                    game.lost += message.missed
-            continue
-        number = message.episode
-        if isinstance(message, Control):
-            if message.action == "discard" and number in newest:
-                newest[number].discarded = True
-            continue
-        if number == 0:
-            continue
-        known = newest.get(number)
-        if isinstance(message, Episode):
-            begins_anew = known is not None and message.phase == "setup" and known.episode.seed != message.seed
-            if known is None or begins_anew:
-                known = GameOutline(message, record.log_time if begins_anew else 0, record.log_time, record.log_time)
-                waiting = early.pop(number, None)
-                if waiting is not None:
-                    known.held, known.late, known.layout = waiting.held, waiting.late, waiting.layout
-                    known.first_time = waiting.first_time
-                newest[number] = known
-                games.append(known)
-        elif known is None:
-            known = early.get(number)
-            if known is None:
-                if len(early) >= 2:
-                    early.pop(next(iter(early)))
-                unknown = Episode(stamp=message.stamp, episode=number, seed=0, phase="setup")
-                known = early[number] = GameOutline(unknown, 0, record.log_time, record.log_time)
-        _note(known, record.key, message)
-        known.last_time = record.log_time
-    progress("reading", 1.0)
-    return games
+
+    def __init__(self) -> None:
+        self.all: list[Game] = []
+        self._newest: dict[int, Game] = {}
+
+    def owner(self, number: int) -> Game | None:
+        """Return the game that a message of this number belongs to now."""
+        game = self._newest.get(number)
+        return game if game is not None and game.place >= len(self.all) - 2 else None
+
+    def hear(self, word: Word) -> Game | None:
+        """Take a word; return the game that it belongs to (a new one has no other word), None when it is not believed."""
+        said = word.said
+        if said.episode == 0:
+            return None
+        known = self._newest.get(said.episode)
+        if known is None or (said.phase == "setup" and _begins_anew(known, said)):
+            # Of a number that was there before, what came earlier belongs to the earlier game.
+            game = Game(len(self.all), [word], -1 if known is None else word.time - 1)
+            self.all.append(game)
+            self._newest[said.episode] = game
+            return game
+        if said.phase == "setup" or self.owner(said.episode) is not known:
+            return None
+        if known.words[-1].said.phase == "ended" and said.phase != "ended":
+            return None
+        known.words.append(word)
+        return known
+
+    def heed(self, time: int, control: Control) -> Game | None:
+        """Take a wish, recorded at a log time (ns); return the game that it discards."""
+        game = self._newest.get(control.episode) if control.action == "discard" else None
+        if game is not None:
+            game.discarded_at = time
+        return game
 
 
-def steps_of(
-    log: Log, games: Sequence[GameOutline], keys: Collection[str], progress: Progress = in_silence
-) -> Iterator[tuple[GameOutline, int, dict[str, Message]]]:
-    """Yield every step of the games, game after game and in order: (game, step, key -> message).
+def _begins_anew(known: Game, said: Episode) -> bool:
+    first = known.words[0].said
+    return (first.phase, first.stamp, first.seed) != ("setup", said.stamp, said.seed)
 
-    A step comes when everything is there that the log has of it; only what publishers run ahead of each other is held in memory.
-    Of a message that is there twice, the first counts.
+
+def games_of(records: Iterable[Record]) -> list[Game]:
+    """Return the games of a log.
 
     Args:
-        log: where `games` come from.
-        games: outlines of some of its games, in its order.
-        keys: what is wanted of a step.
+        records: at least those of `WORD_TOPICS`, in order.
     """
-    first, last = time_span(log)
-    waiting: list[dict[int, dict[str, Message]]] = [{} for _ in games]
-    places: dict[int, list[int]] = {}
-    for place, game in enumerate(games):
-        places.setdefault(game.number, []).append(place)
-    wanted = [_wanted(game, keys) for game in games]
-    place = step = 0
-
-    def ready() -> Iterator[tuple[GameOutline, int, dict[str, Message]]]:
-        nonlocal place, step
-        while place < len(games):
-            game = games[place]
-            count = max((mask.bit_length() for mask in wanted[place].values()), default=0)
-            while step < count:
-                expected = {key for key, mask in wanted[place].items() if mask >> step & 1}
-                held = waiting[place].get(step, {})
-                if not expected <= held.keys():
-                    return
-                waiting[place].pop(step, None)
-                if expected:
-                    yield game, step, held
-                step += 1
-            waiting[place].clear()
-            place, step = place + 1, 0
-
-    yield from ready()
-    if place == len(games):
-        return
-    begin = min(game.first_time for game in games) - 1
-    for number, record in enumerate(log.records(keys, after=begin)):
-        if number % 64 == 0:
-            progress("writing", (record.log_time - first) / max(last - first, 1))
+    games = Games()
+    for record in records:
+        if record.key not in WORD_TOPICS:
+            continue
         try:
             message = record.decode()
         except MalformedMessage:
             continue
-        candidates = places.get(message.episode)
-        if not candidates:
-            continue
-        # Of several games with one number, the last that had begun.
-        owner = max((c for c in candidates if games[c].begins <= record.log_time), default=-1)
-        if owner < place or (owner == place and message.step < step):
-            continue
-        waiting[owner].setdefault(message.step, {})[record.key] = message
-        if owner == place:
-            yield from ready()
-            if place == len(games):
-                break
-    progress("writing", 1.0)
+        if isinstance(message, Episode):
+            games.hear(Word(record.log_time, record.publisher, message))
+        elif isinstance(message, Control):
+            games.heed(record.log_time, message)
+    return games.all
 
 
-def time_span(log: Log) -> tuple[int, int]:
-    """Return the log times of the first and the last message, ns, as the chunks' heads tell them; 0 and 0 for an empty log."""
-    chunks = [chunk for file in log.files for chunk in file.chunks if chunk.end]
-    return (min(chunk.start for chunk in chunks), max(chunk.end for chunk in chunks)) if chunks else (0, 0)
+class Said(Protocol):
+    """A game as far as it is told by what was said of it."""
+
+    @property
+    def discarded(self) -> bool: ...
+    @property
+    def episode(self) -> Episode: ...
 
 
-def _wanted(game: GameOutline, keys: Collection[str]) -> dict[str, int]:
-    return {key: game.held[key] for key in keys if key in game.held}
+class Judged(Said, Protocol):
+    """A game of which is known whether anything is missing."""
+
+    @property
+    def whole(self) -> bool: ...
 
 
-def _note(game: GameOutline, key: str, message: Message) -> None:
-    match message:
-        case Episode():
-            # A restarted referee declares the last game it hears of aborted, also one that had ended.
-            if (game.episode.phase, message.phase) != ("ended", "aborted"):
-                game.episode = message
-        case Layout():
-            game.layout = message
-        case Tick():
-            if message.late:
-                game.late[message.step] = message.late
-        case _:
-            game.held[key] = game.held.get(key, 0) | 1 << message.step
+def unfinished(game: Said) -> str:
+    """Return why a game does not count, to be said of it ("left out: 3 games ..."); empty when it does."""
+    if game.discarded:
+        return "discarded by the player"
+    if game.episode.phase == "aborted":
+        return "aborted"
+    return "" if game.episode.phase == "ended" else "not finished in this log"
 
 
-def _under_way(games: list[GameOutline]) -> list[GameOutline]:
-    """The games that a loss may concern: those not ended; else the last. As `episodes`, which looks at two games at a time."""
-    playing = [game for game in games[-2:] if game.episode.phase in ("setup", "running")]
-    return playing or games[-1:]
+def unusable(game: Judged) -> str:
+    """Return why a game is no data: it does not count, or messages are missing; empty when it is."""
+    return unfinished(game) or ("" if game.whole else "with messages missing")
+
+
+class NoSuchGame(Exception):
+    """A number does not name one game of a log; the text says which there are, for people."""
+
+    for_people = True
+
+
+class Findable(Protocol):
+    """What a game is found by."""
+
+    @property
+    def number(self) -> int: ...
+    @property
+    def start(self) -> int: ...
+    @property
+    def episode(self) -> Episode: ...
+
+
+AnyGame = TypeVar("AnyGame", bound=Findable)
+
+
+def find_game(games: Sequence[AnyGame], number: int) -> AnyGame:
+    """Return the game of this number.
+
+    Raises:
+        NoSuchGame: there is none, or several.
+    """
+    found = [game for game in games if game.number == number]
+    if not found:
+        numbers = [str(game.number) for game in games]
+        more = f" and {len(numbers) - MOST_LISTED} more" if len(numbers) > MOST_LISTED else ""
+        raise NoSuchGame(f"there is no game {number} in this log; there is: {', '.join(numbers[:MOST_LISTED]) or 'none'}{more}")
+    if len(found) > 1:
+        first = games[0].start
+        lines = [
+            f"  at {_clock(game.start)}, {(game.start - first) / 1e9:.1f} s after the first game, seed {game.episode.seed}"
+            for game in found[:MOST_LISTED]
+        ]
+        raise NoSuchGame("\n".join([f"{len(found)} games of this log have the number {number}:", *lines]))
+    return found[0]
+
+
+def _clock(time: int) -> str:
+    return datetime.fromtimestamp(time / 1e9).astimezone().isoformat(sep=" ", timespec="seconds")

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from collections.abc import Collection
+from dataclasses import dataclass
+from typing import Any, Literal
 
-from schemas import PRIMITIVES, ROBOTS, STATE_IMAGE_SIZE
+from schemas import PRIMITIVES, ROBOTS, STATE_IMAGE_SIZE, Robot
 
 CODEBASE_VERSION = "v3.0"
+ROBOT_TYPE = "vantage"
+"""What tells our data sets from those of others."""
 TASK = "hide from the seeker"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
 EPISODES_PATH = "meta/episodes/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -18,28 +22,75 @@ FILE_SIZE = 100
 
 Feature = dict[str, Any]
 
+_MEANINGS = (
+    ("`observation.images.hider_color`", "observation.images.hider_color", "first-person colour of the hider, PNG, lossless"),
+    ("`observation.images.hider_view`", "observation.images.hider_view", "the hider's state image in the colours of its palette"),
+    (
+        "`observation.depth.hider`",
+        "observation.depth.hider",
+        "uint16 [height, width], mm along the optical axis, 0 = no return; no PNG: see below",
+    ),
+    (
+        "`privileged.images.seeker_color`, `..seeker_view`, `privileged.depth.seeker`",
+        "privileged.images.seeker_color",
+        "the same of the seeker (the state image if all games have it); no input for a hider's policy",
+    ),
+)
+"""Of features that not every data set has: how the card calls them, what has to be there, and what they are."""
 
-def features_of(sizes: dict[str, tuple[int, int]], views: bool) -> dict[str, Feature]:
+
+@dataclass(frozen=True)
+class Choice:
+    """What comes into a data set beside what the hider can know of games with catching.
+
+    Attributes:
+        seeker_pictures: what the seeker sees.
+        without_catching: games whose rules ignore catches.
+    """
+
+    seeker_pictures: bool = False
+    without_catching: bool = False
+
+
+PLAIN = Choice()
+"""What the hider can know, of games with catching."""
+
+
+def picture_robots(choice: Choice) -> tuple[Robot, ...]:
+    """Return whose pictures a data set holds."""
+    return ROBOTS if choice.seeker_pictures else ("hider",)
+
+
+def picture_name(robot: Robot, part: Literal["color", "view"]) -> str:
+    """Return the name of a picture's feature."""
+    return f"{'observation' if robot == 'hider' else 'privileged'}.images.{robot}_{part}"
+
+
+def depth_name(robot: Robot) -> str:
+    """Return the name of a depth picture's feature."""
+    return f"{'observation' if robot == 'hider' else 'privileged'}.depth.{robot}"
+
+
+def features_of(sizes: dict[Robot, tuple[int, int]], views: bool, choice: Choice) -> dict[str, Feature]:
     """Return the features of a data set, by name, in the order of its columns.
 
-    Policies of LeRobot take everything below `observation.` and `action` as theirs; what the hider cannot know stands below
-    `privileged.`, which they leave alone.
+    LeRobot (`dataset_to_policy_features`, 0.4) gives a policy every feature of dtype `image`, whatever its name, and all whose
+    name begins with `observation` or `action`. So what the hider cannot know stands below `privileged.`, and its pictures are
+    there only when asked for.
 
     Args:
         sizes: robot -> height, width of its pictures.
         views: whether state images are there.
+        choice: whether the seeker's pictures are there.
     """
+    robots = picture_robots(choice)
     features: dict[str, Feature] = {}
-    for robot in ROBOTS:
-        features[f"observation.images.{robot}_color"] = _picture(*sizes[robot])
-    for robot in ROBOTS if views else ():
-        features[f"observation.images.{robot}_view"] = _picture(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)
-    for robot in ROBOTS:
-        features[f"observation.depth.{robot}"] = {
-            "dtype": "uint16",
-            "shape": list(sizes[robot]),
-            "names": ["height", "width"],
-        }
+    for robot in robots:
+        features[picture_name(robot, "color")] = _picture(*sizes[robot])
+    for robot in robots if views else ():
+        features[picture_name(robot, "view")] = _picture(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)
+    for robot in robots:
+        features[depth_name(robot)] = {"dtype": "uint16", "shape": list(sizes[robot]), "names": ["height", "width"]}
     pose = {"dtype": "float32", "shape": [3], "names": ["x", "y", "heading"]}
     primitive = {"dtype": "float32", "shape": [len(PRIMITIVES)], "names": list(PRIMITIVES)}
     features["observation.state"] = pose
@@ -107,7 +158,7 @@ def info_of(features: dict[str, Feature], fps: int, episodes: int, frames: int) 
     """Return `meta/info.json`."""
     return {
         "codebase_version": CODEBASE_VERSION,
-        "robot_type": "vantage",
+        "robot_type": ROBOT_TYPE,
         "total_episodes": episodes,
         "total_frames": frames,
         "total_tasks": 1,
@@ -122,8 +173,20 @@ def info_of(features: dict[str, Feature], fps: int, episodes: int, frames: int) 
     }
 
 
-def card(fps: int) -> str:
-    """Return `README.md`: what a reader of the data set must know."""
+def card(fps: int, features: Collection[str], uncatchable: int) -> str:
+    """Return `README.md`: what a reader of the data set must know.
+
+    Args:
+        features: by name.
+        uncatchable: how many of the games had rules without catching.
+    """
+    rows = [f"| {name} | {meaning} |" for name, feature, meaning in _MEANINGS if feature in features]
+    catching = "All games had rules with catching: `next.success` says that the hider survived."
+    if uncatchable:
+        catching = (
+            f"In {uncatchable} of the games catches were ignored (`vantage/catching` is false in `meta/episodes`): nothing could "
+            "end them early, and `next.success` is false there, because surviving them was no success."
+        )
     return f"""---
 task_categories:
 - robotics
@@ -135,24 +198,30 @@ configs:
 ---
 
 Games of visual hide-and-seek of two robots on a table, exported from Vantage's logs: one episode a game, one frame a step.
-Games that were aborted, taken back or are incomplete in the log are not in it.
+Games that were aborted, discarded or are incomplete in the log are not in it. {catching}
 
 | feature | |
 |---|---|
-| `observation.images.hider_color`, `..seeker_color` | first-person colour, PNG, lossless |
-| `observation.images.hider_view`, `..seeker_view` | state images in the colours of their palette, when the log has them |
-| `observation.depth.hider`, `..seeker` | uint16 [height, width], mm along the optical axis, 0 = no return; no PNG: see below |
+{chr(10).join(rows)}
 | `observation.state` | the hider's x, y (m) and heading (rad, counter-clockwise from +x) in the arena |
 | `action` | the hider's primitive of this step, one-hot: {", ".join(PRIMITIVES)}; one step is 10 mm or 10 degrees |
-| `privileged.seeker_state`, `privileged.seeker_action` | the same of the seeker. The hider knows neither, nor its pictures |
+| `privileged.seeker_state`, `privileged.seeker_action` | the same of the seeker; the hider knows neither |
 | `next.done`, `next.success` | the step is the game's last; and the hider survived |
 | `timestamp`, `capture_time_ns` | capture of the hider's picture: s from the episode's first, and ns since the Unix epoch |
 
 Timestamps are those of the cameras, not multiples of 1/fps; `fps` = {fps} is their median rate. `LeRobotDataset` (v3) takes them
 as they are: it compares timestamps with fps only to decode videos, of which there are none, and finds the neighbours that
 `delta_timestamps` asks for by their number of frames. `meta/episodes` says of each episode which game it was: number, seed,
-outcome, who drove, the layout. Depth is an array of numbers because what a loader makes of a 16-bit PNG differs from version to
-version; it comes as integers.
+outcome, whether there was catching, who drove, the layout. Depth is an array of numbers because what a loader makes of a 16-bit
+PNG differs from version to version; it comes as integers.
+
+LeRobot (0.4) gives a policy every picture, whatever its name, and all that begins with `observation` or `action`. What stands
+below `privileged.` is what the hider cannot know: numbers and depth there are left alone, pictures have to be taken out of a
+policy's input features by hand. `observation.depth.hider` counts as a state, which the usual policies expect to be one vector:
+take it out, too, or use a policy of your own.
+
+`info.json` knows one split. The one that Vantage's networks were trained with follows from a game's seed (`vantage/seed` in
+`meta/episodes`) alone: `learning.splits.split_of(seed)` is 0 for training, 1 for validation, 2 for test.
 
 ```python
 from lerobot.datasets.lerobot_dataset import LeRobotDataset

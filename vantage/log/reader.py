@@ -13,7 +13,17 @@ from mcap.records import Channel
 
 from schemas import TOPICS, MalformedMessage, Message, decode
 from vantage.log.file import LogFile, first_metadata
-from vantage.log.metadata import GAPS, PART, REPEATED, RUN, VIEWER_PREFIX
+from vantage.log.metadata import EXPORTED, GAPS, PART, REPEATED, RUN, VIEWER_PREFIX
+
+_PART_NAME = re.compile(r"(.+)_\d{3,}")
+MOST_LISTED = 20
+"""Logs or games that an error lists."""
+
+
+class NoSuchLog(Exception):
+    """A name does not mean one log; the text says what there is, for people."""
+
+    for_people = True
 
 
 class BrokenLog(UserWarning):
@@ -120,7 +130,7 @@ def find_logs(source: Path) -> list[list[Path]]:
 
     Args:
         source: a file, or a folder that is searched with its subfolders. Files `RUN_000.mcap`, `RUN_001.mcap`, ... that were
-            written as parts are one log.
+            written as parts are one log. In a folder, hidden files and copies for viewers (`vantage log export`) are no logs.
 
     Raises:
         FileNotFoundError: there is none.
@@ -129,12 +139,50 @@ def find_logs(source: Path) -> list[list[Path]]:
         return [[source]]
     logs: dict[Path, list[Path]] = {}
     for path in sorted(source.rglob("*.mcap")):
-        run = re.fullmatch(r"(.+)_\d{3,}", path.stem)
-        is_part = run is not None and PART in first_metadata(path)
+        if any(name.startswith(".") for name in path.relative_to(source).parts):
+            continue
+        metadata = first_metadata(path)
+        if EXPORTED in metadata:
+            continue
+        run = _PART_NAME.fullmatch(path.stem)
+        is_part = run is not None and PART in metadata
         logs.setdefault(path.with_name(run[1]) if run and is_part else path, []).append(path)
     if not logs:
         raise FileNotFoundError(f"{source}: no log (*.mcap) there")
     return list(logs.values())
+
+
+def parts_of(run: Path) -> list[Path]:
+    """Return the files of the one log that `run` names: a file, the first part of several, or a folder with one log.
+
+    Raises:
+        NoSuchLog: there is none, there are several, or it is a later part.
+    """
+    if run.is_dir():
+        try:
+            logs = find_logs(run)
+        except FileNotFoundError as error:
+            raise NoSuchLog(str(error)) from None
+        if len(logs) > 1:
+            listed = "\n".join(f"  {parts[0]}  {_size(parts)}" for parts in logs[:MOST_LISTED])
+            more = f"\n  and {len(logs) - MOST_LISTED} more" if len(logs) > MOST_LISTED else ""
+            raise NoSuchLog(f"{run} holds {len(logs)} logs; name one of them:\n{listed}{more}")
+        return logs[0]
+    if not run.is_file():
+        raise NoSuchLog(f"{run}: there is no such log or folder")
+    part = _PART_NAME.fullmatch(run.stem)
+    if part is None or PART not in first_metadata(run):
+        return [run]
+    named = re.compile(re.escape(part[1]) + r"_\d{3,}")
+    parts = sorted(path for path in run.parent.glob("*.mcap") if named.fullmatch(path.stem) and PART in first_metadata(path))
+    if parts[0] != run:
+        raise NoSuchLog(f"{run.name} is part {parts.index(run) + 1} of a log: name its first part, {parts[0]}")
+    return parts
+
+
+def _size(parts: list[Path]) -> str:
+    size = f"{sum(path.stat().st_size for path in parts) / 1e6:.1f} MB"
+    return size if len(parts) == 1 else f"{size} in {len(parts)} parts"
 
 
 def open_log(*parts: Path) -> Log:

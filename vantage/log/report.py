@@ -11,6 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from schemas import Control, Episode, Gap, MalformedMessage, Pose
+from vantage.log.games import Game, Games, Word
 from vantage.log.reader import Record, find_logs, open_log
 
 
@@ -54,11 +55,20 @@ class TopicReport:
 
 @dataclass
 class GameReport:
-    """One game: the referee's last word, the steps seen, and whether it was discarded afterwards."""
+    """One game: what the referee said of it, and the steps seen."""
 
-    episode: Episode
+    game: Game
     steps: int = 0
-    discarded: bool = False
+
+    @property
+    def episode(self) -> Episode:
+        """The referee's last word."""
+        return self.game.episode
+
+    @property
+    def discarded(self) -> bool:
+        """Whether it was discarded afterwards."""
+        return self.game.discarded
 
     @property
     def driver(self) -> str:
@@ -90,10 +100,11 @@ class LogReport:
     parts: list[Path]
     metadata: dict[str, str]
     topics: dict[tuple[str, str], TopicReport] = field(default_factory=dict)
-    games: dict[tuple[int, int], GameReport] = field(default_factory=dict)
+    games: list[GameReport] = field(default_factory=list)
     gaps: dict[str, int] = field(default_factory=dict)
     breaks: list[str] = field(default_factory=list)
     finished: bool = True
+    _heard: Games = field(default_factory=Games)
 
     @property
     def count(self) -> int:
@@ -121,19 +132,18 @@ class LogReport:
         except MalformedMessage:
             return
         if isinstance(message, Episode):
-            game = self.games.setdefault((message.episode, message.seed), GameReport(message))
-            game.episode = message
+            game = self._heard.hear(Word(record.log_time, record.publisher, message))
+            if game is not None and game.place == len(self.games):
+                self.games.append(GameReport(game))
         elif isinstance(message, Control):
-            named = [game for game in self.games.values() if game.episode.episode == message.episode]
-            if message.action == "discard" and named:
-                named[-1].discarded = True
+            self._heard.heed(record.log_time, message)
         elif isinstance(message, Gap):
             name = f"{message.key} {message.publisher}".rstrip()
             self.gaps[name] = self.gaps.get(name, 0) + message.missed
-        elif isinstance(message, Pose) and self.games:
-            game = next(reversed(self.games.values()))
-            if game.episode.episode == message.episode:
-                game.steps = max(game.steps, message.step)
+        elif isinstance(message, Pose):
+            owner = self._heard.owner(message.episode)
+            if owner is not None:
+                self.games[owner.place].steps = max(self.games[owner.place].steps, message.step)
 
     def __rich__(self) -> RenderableType:
         shown: list[RenderableType] = [self._summary(), self._topic_table()]
@@ -173,7 +183,7 @@ class LogReport:
         table = Table()
         for name in ("game", "seed", "hider", "seeker", "layout", "steps", "phase", "outcome", "reason"):
             table.add_column(name)
-        for game in self.games.values():
+        for game in self.games:
             said = game.episode
             names = [str(said.episode), str(said.seed), game.driver, said.players.seeker, said.rules.layout]
             table.add_row(*(_as_said(text) for text in (*names, str(game.steps), game.phase, said.outcome, said.reason)))

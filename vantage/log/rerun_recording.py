@@ -6,8 +6,13 @@ Streamed: Rerun writes batches while the log is read. Timelines: `step`, `record
 from __future__ import annotations
 
 import math
+import os
 from collections import deque
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from threading import Thread
 from typing import Any
 
 import numpy as np
@@ -31,12 +36,14 @@ from schemas import (
     Track,
 )
 from vantage.log.appearance import Appearance, row_repeats, value_picture
-from vantage.log.games import GameOutline
+from vantage.log.outline import GameOutline, called
 from vantage.log.reader import Log
-from vantage.log.target import Progress, in_silence, optional, whole
+from vantage.log.target import Progress, begins_with, in_silence, optional, whole
 from vantage.log.words import words_of
 
 APPLICATION = "vantage"
+is_recording = begins_with(b"RRF")
+_CHUNK = 1 << 20
 _UNANSWERED = 64
 _LEVELS = {"debug": "DEBUG", "info": "INFO", "warning": "WARN", "error": "ERROR"}
 
@@ -53,14 +60,13 @@ def write_recording(
     rerun, blueprint = optional("rerun", "rerun-sdk"), optional("rerun.blueprint", "rerun-sdk")
     first, last = game.first_time, game.last_time
     count = 0
-    with whole(target, force=force) as partial:
+    with whole(target, force=force, is_ours=is_recording) as partial:
         recording = rerun.RecordingStream(APPLICATION, recording_id=f"{first}-game-{game.number}")
-        recording.save(partial)
-        recording.send_recording_name(f"game {game.number}, seed {game.episode.seed}, {game.episode.outcome}")
-        recording.set_log_time_enabled(False)
-        recording.set_log_tick_enabled(False)
-        shown = _Shown(rerun, recording, looks)
-        try:
+        with _saved(recording, partial):
+            recording.send_recording_name(f"{called(game)}, seed {game.episode.seed}, {game.episode.outcome}")
+            recording.set_log_time_enabled(False)
+            recording.set_log_tick_enabled(False)
+            shown = _Shown(rerun, recording, looks)
             shown.begin()
             for record in log.records(after=first - 1):
                 if record.log_time > last:
@@ -82,11 +88,49 @@ def write_recording(
                     recording.disable_timeline("step")
                 shown.show(record.key, message)
             recording.send_blueprint(_blueprint(blueprint, shown.entities))
+    progress("writing", 1.0)
+    return f"{called(game)}, {game.steps} steps; open it with `rerun {target.name}`"
+
+
+@contextmanager
+def _saved(recording: Any, target: Path) -> Iterator[None]:
+    """Let a recording be written to a file, through a pipe; it is whole when the block has ended.
+
+    Rerun's own thread dies on a full disk, and flushing may then wait for it for ever. So it gets a pipe, which is never full
+    for long, and what comes out of it is written here.
+
+    Raises:
+        OSError: the disk.
+    """
+    errors: list[OSError] = []
+
+    def write(descriptor: int) -> None:
+        with open(descriptor, "rb", buffering=0) as pipe:
+            try:
+                with target.open("wb") as file:
+                    while data := pipe.read(_CHUNK):
+                        file.write(data)
+            except OSError as error:
+                errors.append(error)
+                while pipe.read(_CHUNK):
+                    pass
+
+    with TemporaryDirectory(prefix="vantage-rerun-") as folder:
+        pipe = Path(folder) / "pipe"
+        os.mkfifo(pipe)
+        descriptor = os.open(pipe, os.O_RDONLY | os.O_NONBLOCK)  # else it would wait for Rerun, which waits for it
+        recording.save(pipe)
+        os.set_blocking(descriptor, True)
+        writer = Thread(target=write, args=(descriptor,), name="recording")
+        writer.start()
+        try:
+            yield
             recording.flush()
         finally:
             recording.disconnect()
-    progress("writing", 1.0)
-    return f"game {game.number}, {game.steps} steps; open it with `rerun {target.name}`"
+            writer.join()
+    if errors:
+        raise errors[0]
 
 
 class _Shown:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import glob
 import importlib
 import os
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -47,27 +48,69 @@ def optional(module: str, package: str) -> Any:
         ) from error
 
 
-@contextmanager
-def whole(target: Path, *, force: bool = False, is_ours: Callable[[Path], bool] = lambda _: False) -> Iterator[Path]:
-    """Yield a place beside `target` to write a file or a folder to; it gets its name when the block ends without an error.
+IsOurs = Callable[[Path], bool]
+"""Whether what lies at a target is an earlier export of the same format, which alone may be replaced."""
 
-    What the block leaves when it fails is removed; a process that is killed leaves at most a hidden `.NAME.partial-*`.
+
+def begins_with(magic: bytes, at: int = 0) -> IsOurs:
+    """Return what tells a file by the bytes that its format has at byte `at`."""
+
+    def is_ours(path: Path) -> bool:
+        if not path.is_file():
+            return False
+        with path.open("rb") as file:
+            return file.read(at + len(magic))[at:] == magic
+
+    return is_ours
+
+
+def require_free(target: Path, force: bool, is_ours: IsOurs, sources: Iterable[Path] = ()) -> None:
+    """Check that an export may be written to `target`.
 
     Args:
-        force: replace a file of that name, or a folder that `is_ours`.
-        is_ours: whether a folder is an earlier export; no other folder is ever replaced.
+        force: replace an earlier export.
+        is_ours: nothing else is ever replaced, but an empty folder.
+        sources: files that are being read, which are never replaced.
 
     Raises:
         TargetExists: see `force`.
-        OSError: the disk.
+        ExportError: the target is a source.
     """
-    _require_free(target, force, is_ours)
+    if not target.exists():
+        return
+    if any(source.exists() and target.samefile(source) for source in sources):
+        raise ExportError(f"{target} is the log itself, which is never replaced: choose another --output")
+    if is_ours(target) or (target.is_dir() and not any(target.iterdir())):
+        if not force:
+            raise TargetExists(target)
+        return
+    raise TargetExists(target, "it is no earlier export of this format, so it is never replaced; choose another --output")
+
+
+@contextmanager
+def whole(
+    target: Path, *, force: bool = False, is_ours: IsOurs = lambda _: False, sources: Iterable[Path] = ()
+) -> Iterator[Path]:
+    """Yield a place beside `target` to write a file or a folder to; it gets its name when the block ends without an error.
+
+    What the block leaves when it fails is removed, also files that begin with the name of the place; a process that is killed
+    leaves at most a hidden `.NAME.partial-*`.
+
+    Args:
+        force, is_ours, sources: see `require_free`.
+
+    Raises:
+        TargetExists, ExportError: see `require_free`.
+        OSError: the disk; it names the target.
+    """
+    sources = tuple(sources)
+    require_free(target, force, is_ours, sources)
     target.parent.mkdir(parents=True, exist_ok=True)
     partial = target.with_name(f".{target.stem}.partial-{os.getpid()}{target.suffix}")
-    _remove(partial)
+    _remove_all(partial)
     try:
         yield partial
-        _require_free(target, force, is_ours)
+        require_free(target, force, is_ours, sources)
         if target.is_dir():
             old = target.with_name(f".{target.stem}.old-{os.getpid()}")
             target.rename(old)
@@ -75,17 +118,18 @@ def whole(target: Path, *, force: bool = False, is_ours: Callable[[Path], bool] 
             _remove(old)
         else:
             partial.replace(target)
+    except OSError as error:
+        if error.errno is None or not (error.filename is None or str(error.filename).startswith(str(partial.with_suffix("")))):
+            raise
+        raise OSError(error.errno, os.strerror(error.errno), str(target)) from error
     finally:
-        _remove(partial)
+        _remove_all(partial)
 
 
-def _require_free(target: Path, force: bool, is_ours: Callable[[Path], bool]) -> None:
-    if not target.exists():
-        return
-    if not force:
-        raise TargetExists(target)
-    if target.is_dir() and any(target.iterdir()) and not is_ours(target):
-        raise TargetExists(target, "a folder that is no earlier export of this format is never replaced; choose another --output")
+def _remove_all(partial: Path) -> None:
+    """Remove a place, and the parts that a writer began beside it."""
+    for path in partial.parent.glob(f"{glob.escape(partial.stem)}*"):
+        _remove(path)
 
 
 def _remove(path: Path) -> None:

@@ -9,11 +9,12 @@ from typing import Any
 from schemas import ROBOTS
 from vantage.log.appearance import Appearance
 from vantage.log.game_picture import HEIGHT, WIDTH, GamePicture
-from vantage.log.games import GameOutline, steps_of
+from vantage.log.outline import GameOutline, called, steps_of
 from vantage.log.reader import Log
-from vantage.log.target import ExportError, Progress, in_silence, optional, whole
+from vantage.log.target import ExportError, Progress, begins_with, in_silence, optional, whole
 
 KEYS = (*(f"{robot}/{part}" for robot in ROBOTS for part in ("pose", "color", "view")), "hider/plan")
+is_video = begins_with(b"ftyp", at=4)
 TIME_BASE = Fraction(1, 1000)
 LINGER = 2000
 """ms that the last picture stays."""
@@ -39,7 +40,7 @@ def write_video(
     picture = GamePicture(game, looks)
     in_real_time = game.last_time - game.first_time >= _FASTEST * max(game.steps, 1)
     period = game.episode.rules.step_period or _USUAL_PERIOD
-    with whole(target, force=force) as partial:
+    with whole(target, force=force, is_ours=is_video) as partial:
         try:
             with av.open(str(partial), "w", format="mp4", options={"movflags": "+faststart"}) as container:
                 count, last = _write(container, av, log, game, picture, None if in_real_time else period, progress)
@@ -48,7 +49,7 @@ def write_video(
         if count == 0:
             raise ExportError(f"game {game.number} has no step with a pose")
     speed = "" if in_real_time else f"; it was not played in real time, a step is shown for {period:g} s"
-    return f"game {game.number}, {count} steps, {(last + LINGER) / 1000:.1f} s{speed}"
+    return f"{called(game)}, {count} steps, {(last + LINGER) / 1000:.1f} s{speed}"
 
 
 def _write(

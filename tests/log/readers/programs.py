@@ -19,6 +19,7 @@ from services.recorder.appearance import arena_appearance
 from vantage.log import open_log, read
 from vantage.log.episodes import games_of
 from vantage.log.export_formats import export_to
+from vantage.log.lerobot_features import Choice
 from vantage.perception.palette import PALETTE
 
 HERE = Path(__file__).parent
@@ -106,7 +107,7 @@ def install_lerobot() -> None:
 
 def check_lerobot(log: Path, work: Path) -> str:
     """LeRobot's own loader: pixels, depth, times, actions and boundaries of every episode as the log has them."""
-    export_to("lerobot", log, work / "dataset", LOOKS)
+    export_to("lerobot", log, work / "dataset", LOOKS, choice=Choice(seeker_pictures=True, without_catching=True))
     np.savez(work / "expected.npz", **expected_frames(log))  # type: ignore[arg-type]
     environment = {**os.environ, **OFFLINE, "HF_HOME": str(work / "hugging-face")}
     found = json.loads(
@@ -132,15 +133,15 @@ def expected_frames(log: Path) -> dict[str, np.ndarray]:
             lengths.append(game.steps)
             start = game.colors["hider"][0].stamp
             for step in range(game.steps):
-                for robot in ("hider", "seeker"):
+                for robot, place in (("hider", "observation"), ("seeker", "privileged")):
                     color, depth = game.colors[robot][step], game.depths[robot][step]  # type: ignore[index]
                     picture = np.frombuffer(color.data, np.uint8).reshape(color.height, color.width, 3)
-                    add(f"observation.images.{robot}_color", picture, "u1")
+                    add(f"{place}.images.{robot}_color", picture, "u1")
                     distances = np.frombuffer(depth.data, "<u2").reshape(depth.height, depth.width)
-                    add(f"observation.depth.{robot}", distances, "i8")
+                    add(f"{place}.depth.{robot}", distances, "i8")
                     if step in game.views[robot]:  # type: ignore[index]
                         view = np.frombuffer(game.views[robot][step].data, np.uint8).reshape(128, 128)  # type: ignore[index]
-                        add(f"observation.images.{robot}_view", PALETTE[view], "u1")
+                        add(f"{place}.images.{robot}_view", PALETTE[view], "u1")
                     pose, command = game.poses[robot][step], game.commands[robot][step]  # type: ignore[index]
                     state, action = (
                         ("observation.state", "action")
