@@ -1,7 +1,9 @@
-"""A table on which the planner plays, with a page of the console open."""
+"""A table on which the planner plays, with a page of the console open; and the console's web server."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -9,6 +11,7 @@ import pytest
 from services.planner.core import PlannerCore
 from services.predictor.core import PredictorCore
 from tests.services.console_game import Table
+from tests.services.console_server import Console
 
 
 @pytest.fixture(scope="session")
@@ -30,3 +33,17 @@ def table(small_networks: Any) -> Table:
     table.come()
     table.run_for(1.0)
     return table
+
+
+@pytest.fixture
+def console(tmp_path: Path) -> Iterator[Console]:
+    opened = Console(tmp_path)
+    yield opened
+    opened.close()
+
+
+@pytest.fixture
+def elsewhere(tmp_path: Path) -> Iterator[Console]:
+    opened = Console(tmp_path, host="127.0.0.2")
+    yield opened
+    opened.close()

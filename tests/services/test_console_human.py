@@ -1,25 +1,19 @@
-"""A human plays the hider: keys, wheel, pauses, sessions; and what of it is on the bus."""
+"""A human plays the hider: games, sessions of several, and what of it is on the bus."""
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from msgspec.structs import replace
 
-from schemas import PRIMITIVES, ColorImage, Command, Control, DepthImage, Episode, Playback, Players, Pose, Primitive, Rules
+from schemas import ColorImage, DepthImage, Episode, Playback, Players, Pose
 from services.console import requests
 from services.console.core import ConsoleCore
 from services.console.events import PAGE, PageEvent
-from services.console.human import HEARD, Keys
-from services.console.wheel import GRACE
+from services.console.human import HEARD
 from tests.services.console_game import Table
+from tests.services.console_human import begin, commands, step_of, to_end, to_step
 from vantage.perception.state_image import perceive
-from vantage.service import SECOND, Arrived, Captured, Publish
-
-STEPS = 12
+from vantage.service import Arrived, Captured, Publish
 
 
 @pytest.fixture
@@ -28,95 +22,6 @@ def table() -> Table:
     table.come()
     table.run_for(1.0)
     return table
-
-
-def begin(table: Table, client: int = 1, **more: Any) -> None:
-    table.ask(requests.Start(hider="human", **{"steps": STEPS, "seed": 5, **more}), client)
-
-
-def commands(table: Table) -> list[Command]:
-    return table.of("hider/command")
-
-
-def step_of(table: Table) -> int:
-    return max((command.step for command in commands(table)), default=-1)
-
-
-def to_step(table: Table, step: int) -> None:
-    table.run(lambda: step_of(table) >= step)
-
-
-def to_end(table: Table, games: int = 1) -> None:
-    table.run(lambda: sum(episode.phase in ("ended", "aborted") for episode in table.of("episode")) >= games)
-    table.settle()
-
-
-# Keys
-
-
-def test_what_is_held_counts_at_every_step_the_last_pressed_first() -> None:
-    keys = Keys()
-    assert keys.take() == "stay"
-    keys.press("forward")
-    assert [keys.take() for _ in range(3)] == ["forward"] * 3
-    keys.press("left")
-    assert keys.take() == "left"
-    keys.release("left")
-    assert keys.take() == "forward"
-    keys.release("forward")
-    assert keys.take() == "stay"
-
-
-def test_a_tap_between_two_steps_counts_once_also_while_another_key_is_held() -> None:
-    keys = Keys()
-    keys.press("left")
-    keys.release("left")
-    assert [keys.take(), keys.take()] == ["left", "stay"]
-    keys.press("forward")
-    keys.take()
-    keys.press("right")
-    keys.release("right")
-    assert [keys.take(), keys.take()] == ["right", "forward"]
-    for _ in range(3):
-        keys.press("left")
-        keys.release("left")
-    assert [keys.take(), keys.take()] == ["left", "forward"]
-
-
-events = st.lists(st.tuples(st.sampled_from(["press", "release", "step"]), st.sampled_from(PRIMITIVES)), max_size=60)
-
-
-@given(events)
-def test_no_key_acts_longer_than_it_was_held(played: list[tuple[str, Primitive]]) -> None:
-    """Each step's primitive was held at the step, or came and went since the step before; and keys that came are not lost."""
-    keys = Keys()
-    held: list[Primitive] = []
-    tapped: list[Primitive] = []
-    fresh: set[Primitive] = set()
-    for what, primitive in played:
-        if what == "press":
-            keys.press(primitive)
-            if primitive not in held:
-                held.append(primitive)
-                fresh.add(primitive)
-        elif what == "release":
-            keys.release(primitive)
-            if primitive in held:
-                held.remove(primitive)
-                if primitive in fresh:
-                    tapped.append(primitive)
-                    fresh.discard(primitive)
-        else:
-            taken = keys.take()
-            if tapped:
-                assert taken == tapped[-1]
-            else:
-                assert taken == (held[-1] if held else "stay")
-                fresh.discard(taken)
-            tapped.clear()
-
-
-# Games
 
 
 def test_every_step_is_answered_as_any_hider_answers_it(table: Table) -> None:
@@ -208,153 +113,6 @@ def test_what_was_tapped_during_a_pause_does_not_move_the_robot(table: Table) ->
     table.ask(requests.Resume())
     to_step(table, at + 3)
     assert {command.primitive for command in commands(table)} == {"stay"}
-
-
-# The wheel
-
-
-def test_when_the_driver_goes_the_robot_stays_and_the_game_is_paused_until_somebody_takes_the_wheel(table: Table) -> None:
-    begin(table, steps=100)
-    to_step(table, 0)
-    table.ask(requests.Drive(primitive="left", held=True))
-    to_step(table, 3)
-    table.go()
-    table.come(2)
-    table.run(lambda: table.of("episode")[-1].paused)
-    table.run_for(2.0)
-    at = step_of(table)
-    assert at <= 5
-    assert all(command.primitive == "stay" for command in commands(table) if command.step > 3)
-    assert (table.header("session", 2)["driver"], table.header("session", 2)["paused"]) == (0, True)
-    table.run_for(20.0)
-    assert step_of(table) == at
-    assert [control.action for control in table.of("control")] == ["start", "pause"]
-    table.ask(requests.Resume(), 2)
-    to_step(table, at + 2)
-    assert table.header("session", 2)["driver"] == 2
-    table.ask(requests.Drive(primitive="right", held=True), 2)
-    to_step(table, at + 4)
-    assert commands(table)[-1].primitive == "right"
-    assert not [tick for tick in table.of("tick") if tick.late]
-
-
-def test_whoever_drives_first_has_the_wheel_and_others_are_told(table: Table) -> None:
-    begin(table, steps=100)
-    table.come(2)
-    to_step(table, 1)
-    table.ask(requests.Drive(primitive="left", held=True), 2)
-    to_step(table, 3)
-    assert {command.primitive for command in commands(table)} == {"stay"}
-    assert table.notices(2) == ["somebody drives at another page"]
-    table.ask(requests.Start(hider="human"), 2)
-    table.settle()
-    assert "somebody is playing" in table.notices(2)[-1]
-    table.go(1)
-    table.ask(requests.Drive(primitive="left", held=True), 2)
-    table.run(lambda: table.of("episode")[-1].paused)
-    table.ask(requests.Resume(), 2)
-    at = step_of(table)
-    to_step(table, at + 2)
-    assert commands(table)[-1].primitive == "left"
-    assert table.header("session", 2)["driver"] == 2
-
-
-def test_another_page_cannot_end_somebodys_game_unless_it_is_paused(table: Table) -> None:
-    begin(table, steps=100, games=2)
-    table.come(2)
-    to_step(table, 3)
-    number = table.of("episode")[-1].episode
-    for wish in (requests.Stop(), requests.Discard(episode=number)):
-        table.ask(wish, 2)
-    table.settle()
-    assert [control.action for control in table.of("control")] == ["start"]
-    assert [text for text in table.notices(2) if "pause that game first" in text] == table.notices(2)
-    assert len(table.notices(2)) == 2
-    table.ask(requests.Pause(), 2)
-    table.run(lambda: table.of("episode")[-1].paused)
-    table.ask(requests.Stop(), 2)
-    to_end(table)
-    assert table.of("episode")[-1].phase == "aborted"
-
-
-def test_between_somebodys_games_too_and_the_driver_may_always_stop(table: Table) -> None:
-    begin(table, steps=4, games=2)
-    table.come(2)
-    to_end(table)
-    table.ask(requests.Stop(), 2)
-    table.settle()
-    assert "pause that game first" in table.notices(2)[-1]
-    table.ask(requests.Stop())
-    table.settle()
-    assert [control.action for control in table.of("control")] == ["start", "stop"]
-
-
-def test_whose_driver_is_gone_may_be_ended_by_anybody(table: Table) -> None:
-    begin(table, steps=100)
-    table.come(2)
-    to_step(table, 3)
-    table.go(1)
-    table.settle()
-    table.ask(requests.Stop(), 2)
-    to_end(table)
-    assert "stop" in [control.action for control in table.of("control")]
-
-
-def test_a_driver_that_took_the_wheel_of_a_game_in_its_set_up_and_goes_pauses_it(table: Table) -> None:
-    """The pause that the first driver left behind was taken back: the next one's going is a reason of its own."""
-    table.come(2)
-    begin(table, steps=100)
-    table.run(lambda: bool(table.of("episode")))
-    assert table.of("episode")[-1].phase == "setup"
-    table.go(1)
-    table.bus.post(Captured(PAGE, PageEvent(2, requests.Resume()), table.now))
-    to_step(table, 3)
-    assert table.header("session", 2)["driver"] == 2
-    assert not table.of("episode")[-1].paused
-    table.go(2)
-    table.run(lambda: table.of("episode")[-1].paused)
-    assert [control.action for control in table.of("control")] == ["start", "pause", "resume", "pause"]
-
-
-def test_a_console_that_is_restarted_pauses_the_game_and_goes_on_with_it(table: Table) -> None:
-    begin(table, steps=100)
-    to_step(table, 3)
-    table.restart_console()
-    table.come(5)
-    table.run(lambda: table.of("episode")[-1].paused)
-    at = step_of(table)
-    table.ask(requests.Resume(), 5)
-    to_step(table, at + 3)
-    assert table.header("session", 5)["driver"] == 5
-    to_end(table)
-    assert table.of("episode")[-1].phase == "ended"
-
-
-def test_a_game_asked_for_elsewhere_waits_for_a_driver(table: Table) -> None:
-    line = table.network.session("command-line")
-    rules, players = Rules(maximum_steps=20), Players(hider="human")
-    line.publish("control", Control(stamp=table.now, action="start", rules=rules, players=players))
-    table.run(lambda: bool(table.of("episode")) and table.of("episode")[-1].paused)
-    began = next(message for message in table.of("episode") if message.phase == "setup")
-    assert table.now - began.stamp < GRACE + SECOND
-    assert step_of(table) <= 1
-    table.ask(requests.Drive(primitive="right", held=True))
-    table.ask(requests.Resume())
-    to_end(table)
-    assert table.of("episode")[-1].phase == "ended"
-    assert commands(table)[-1].primitive == "right"
-
-
-def test_a_core_that_waits_for_a_driver_does_not_spin(table: Table) -> None:
-    begin(table, steps=100)
-    to_step(table, 2)
-    table.go()
-    table.run(lambda: table.of("episode")[-1].paused)
-    table.run_for(5.0)
-    table.settle()
-    wake = table.core.wake_at()
-    assert wake is not None
-    assert wake > table.now
 
 
 def test_a_human_needs_a_pace(table: Table) -> None:
