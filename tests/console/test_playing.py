@@ -7,6 +7,8 @@ import signal
 import warnings
 from collections.abc import Callable
 
+from playwright.sync_api import Dialog
+
 from tests.console.browser import ConsolePage, wait_until
 from tests.stack.table import Table
 from vantage.log import read
@@ -100,7 +102,12 @@ def test_a_player_sees_nothing_but_the_hiders_eyes(page: ConsolePage) -> None:
     page.press("i")
     assert page.page.locator("canvas:visible").count() == 2, "and its state image, if wished"
     questions: list[str] = []
-    page.page.once("dialog", lambda dialog: (questions.append(dialog.message), dialog.dismiss()))
+
+    def stay(dialog: Dialog) -> None:
+        questions.append(dialog.message)
+        dialog.dismiss()
+
+    page.page.once("dialog", stay)
     page.page.get_by_role("button", name="End session").click()
     assert page.get("vantage.state.mode") == "play"
     assert questions or page.get(BETWEEN), "a game is not ended by one click"

@@ -64,7 +64,7 @@ def test_a_human_game_is_played_again_from_its_commands_and_is_the_same_game(log
 
 def test_a_replay_is_watched_like_a_game(log: Path, browser: Browser) -> None:
     home = Path(tempfile.mkdtemp(prefix="vantage-test-", dir="/tmp"))
-    command = [VANTAGE, "replay", str(log), "--folder", str(home / "run")]
+    command = [str(VANTAGE), "replay", str(log), "--folder", str(home / "run")]
     playing = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
         page = ConsolePage(browser, address_of(home / "run", 60))
