@@ -24,6 +24,8 @@ from typing import Any
 
 COMPOSE = Path(__file__).resolve().parent.parent / "compose"
 CONFIGURATION = "deployment.conf"
+DEPLOYMENT_NAME = "deployment.name"
+"""File that says which configuration of compose/ is up."""
 CONSOLE_ADDRESS = "console.address"
 """File in which the console writes where its page is."""
 LONGEST_FOLDER = 80
@@ -182,6 +184,7 @@ class Deployment:
         recordings.mkdir(parents=True, exist_ok=True)
         (self.folder / "recordings").symlink_to(recordings.absolute())
         (self.folder / CONFIGURATION).write_text(text)
+        (self.folder / DEPLOYMENT_NAME).write_text(self.name)
         environment = dict(os.environ)
         environment["PATH"] = f"{Path(sys.executable).parent}{os.pathsep}{environment.get('PATH', os.defpath)}"
         command = [sys.executable, "-m", "supervisor.supervisord", "--configuration", CONFIGURATION]
@@ -334,7 +337,7 @@ class Deployment:
 
     def _clear_folder(self) -> None:
         """Remove what an earlier run left: only names that a deployment makes."""
-        for pattern in ("*.sock", "*.sock.*", "*.log", "*.log.[0-9]*", "supervisord.pid", CONFIGURATION, CONSOLE_ADDRESS):
+        for pattern in ("*.sock", "*.sock.*", "*.log", "*.log.[0-9]*", "supervisord.pid", CONFIGURATION, DEPLOYMENT_NAME, CONSOLE_ADDRESS):
             for path in self.folder.glob(pattern):
                 path.unlink(missing_ok=True)
         link = self.folder / "recordings"

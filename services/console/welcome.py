@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +17,7 @@ from services.console.requests import (
     SHORTEST_PERIOD,
     STEPS_LIMIT,
 )
-from vantage.deployment import CONFIGURATION
+from vantage.deployment import DEPLOYMENT_NAME
 from vantage.perception.palette import PALETTE
 from vantage.world import arena
 from vantage.world.camera import Camera
@@ -25,12 +27,21 @@ PALETTE_NAMES = ("not visible", "free", "boundary", "own robot", "other robot")
 
 def deployment_name(folder: Path) -> str:
     """Return the name of the deployment whose folder it is; empty when services were started by hand."""
-    return folder.resolve().name if (folder / CONFIGURATION).is_file() else ""
+    try:
+        return (folder / DEPLOYMENT_NAME).read_text().strip()
+    except OSError:
+        return ""
 
 
-def welcome(arena_name: str, deployment: str) -> dict[str, Any]:
+def table_of(folder: Path) -> str:
+    """Return what tells the deployment in this folder from every other one, also after a restart: ports change hands."""
+    return hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()[:16]
+
+
+def welcome(arena_name: str, deployment: str, table: str = "") -> dict[str, Any]:
     """Return the fields of the frame `welcome` but for the client's number. Lengths in m, angles in rad."""
     return {
+        "table": table,
         "deployment": deployment,
         "arena": arena_name,
         "size": arena.ARENA_SIZE,
