@@ -337,7 +337,8 @@ class Deployment:
 
     def _clear_folder(self) -> None:
         """Remove what an earlier run left: only names that a deployment makes."""
-        for pattern in ("*.sock", "*.sock.*", "*.log", "*.log.[0-9]*", "supervisord.pid", CONFIGURATION, DEPLOYMENT_NAME, CONSOLE_ADDRESS):
+        written = (CONFIGURATION, DEPLOYMENT_NAME, CONSOLE_ADDRESS)
+        for pattern in ("*.sock", "*.sock.*", "*.log", "*.log.[0-9]*", "supervisord.pid", *written):
             for path in self.folder.glob(pattern):
                 path.unlink(missing_ok=True)
         link = self.folder / "recordings"

@@ -230,8 +230,9 @@ def test_it_pauses_jumps_hurries_and_everybody_follows(log: Path, folder: Path, 
             listener.until(lambda k=key, n=whole: len(listener.said(k, since)) >= n, 5.0, f"the last {key}")
             assert [(message.episode, message.step) for message in listener.said(key, since)] == expected
         after = listener.health()
-        # Of the step under way at a jump, pose and pictures are known when they come again; nothing else is out of place.
-        assert after.unexpected - before.unexpected <= 3 * listener.playback.jumps, after.reason
+        # Of the step under way at a jump what the planner joins is known when it comes again, on a busy machine also of the one
+        # before: pose, two pictures, tick. Nothing else is out of place.
+        assert after.unexpected - before.unexpected <= 2 * 4 * listener.playback.jumps, after.reason
         assert after.failed == before.failed == 0 and not any(entry.lost or entry.malformed for entry in after.inputs)
         process.send_signal(signal.SIGTERM)
         finish(process)
