@@ -17,32 +17,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from enum import Enum
-from typing import cast
+from typing import Any, cast
 
-from schemas import REASON_LIMIT, ROBOTS, Command, Control, Episode, Health, Layout, Pose, Robot, Tick
+from schemas import ROBOTS, Command, Control, Health, Layout, Pose, Robot, Tick
+from services.referee.blame import Troubles
 from services.referee.declaration import DECLARATION
 from services.referee.drivers import HUMAN, HiderDrivers
+from services.referee.phase import Phase
+from services.referee.series import GamePhase, Series
 from services.referee.settings import RefereeSettings
 from vantage.service import SECOND, Arrived, Changed, Publish, Received, Send, Unexpected, Woken
 from vantage.world.arena import CATCH_TOLERANCE
 
 __all__ = ["RefereeCore", "RefereeSettings"]
 
-SHARE = 110
-"""Letters of an abort's reason that one service's troubles may take."""
-
 _RESTARTED = "the referee was restarted; the setup of this game has its seed and rules"
-
-
-class _Phase(Enum):
-    LISTENING = "listening for a game left behind"
-    IDLE = "waiting for a game to be asked for, or for a service"
-    SETUP = "waiting for the first poses"
-    COMMANDS = "waiting for commands"
-    POSES = "waiting for the step to be executed"
-    PACING = "waiting for the next tick"
-    PAUSE = "between games"
 
 
 class RefereeCore:
@@ -51,18 +40,12 @@ class RefereeCore:
     def __init__(self, settings: RefereeSettings | None = None) -> None:
         self._settings = settings or RefereeSettings()
         self.declaration = replace(DECLARATION, heeds=self._settings.required)
-        self._phase = _Phase.LISTENING
+        self._phase = Phase.LISTENING
         self._wake: int | None = 0
         self._alive: set[str] = set()
         self._number = self._settings.first_episode - 1
         self._left_behind = 0
-        self._games_left: int | None = 0
-        if self._settings.autoplay:
-            self._games_left = None if self._settings.games == 0 else self._settings.games
-        self._rules = self._settings.rules
-        self._players = self._settings.players
-        self._seed_of_first = self._settings.seed
-        self._first_number: int | None = self._settings.first_episode  # None: the next game is the first
+        self._series = Series(self._settings)
         self._step = 0
         self._poses: dict[str, Pose] = {}
         self._commanded: set[str] = set()
@@ -74,7 +57,7 @@ class RefereeCore:
         self._driver_until: int | None = None  # until when the set-up waits for who drives the hider
         self._set_up_at = 0
         self._listening_since: int | None = None
-        self._trouble_of_world: dict[str, str] = {}
+        self._troubles = Troubles(self._settings.required)
 
     def wake_at(self) -> int | None:
         return self._wake
@@ -83,7 +66,7 @@ class RefereeCore:
         if isinstance(received, Arrived):
             message = received.message
             robot = received.key.partition("/")[0]
-            if self._phase is _Phase.LISTENING and isinstance(message, Pose | Command):
+            if self._phase is Phase.LISTENING and isinstance(message, Pose | Command):
                 self._left_behind = max(self._left_behind, message.episode)
                 return ()
             if isinstance(message, Pose):
@@ -92,7 +75,7 @@ class RefereeCore:
                 return self._on_command(robot, message, now)
             if isinstance(message, Control):
                 return self._on_control(message, now)
-            if isinstance(message, Layout) and self._phase is _Phase.SETUP and message.episode == self._number:
+            if isinstance(message, Layout) and self._phase is Phase.SETUP and message.episode == self._number:
                 limit = self._set_up_at + int(self._settings.setup_limit * SECOND)
                 self._wake = min(now + int(self._settings.setup_patience * SECOND), limit)
             elif isinstance(message, Health):
@@ -100,13 +83,13 @@ class RefereeCore:
             return ()
         if isinstance(received, Changed):
             (self._alive.add if received.alive else self._alive.discard)(received.service)
-            return self._begin_if_possible(now) if self._phase is _Phase.IDLE else ()
+            return self._begin_if_possible(now) if self._phase is Phase.IDLE else ()
         if isinstance(received, Woken):
             return self._on_time(now)
         return ()
 
     def _on_time(self, now: int) -> Sequence[Send]:
-        if self._phase is _Phase.LISTENING:
+        if self._phase is Phase.LISTENING:
             if self._listening_since is None:
                 self._listening_since = now
                 self._wake = now + int(self._settings.settle * SECOND)
@@ -115,30 +98,30 @@ class RefereeCore:
         if self._wake is None or now < self._wake:
             return ()
         self._wake = None
-        if self._phase in (_Phase.PAUSE, _Phase.IDLE):
-            self._phase = _Phase.IDLE
+        if self._phase in (Phase.PAUSE, Phase.IDLE):
+            self._phase = Phase.IDLE
             return self._begin_if_possible(now)
-        if self._phase is _Phase.SETUP:
-            return self._abort(self._blame(f"no poses {(now - self._set_up_at) / SECOND:.0f} s after the setup"), now)
-        if self._phase is _Phase.PACING:
+        if self._phase is Phase.SETUP:
+            return self._give_up(f"no poses {(now - self._set_up_at) / SECOND:.0f} s after the setup", now)
+        if self._phase is Phase.PACING:
             return self._tick(self._step, now)
-        if self._phase is _Phase.COMMANDS:
-            if "hider" not in self._commanded and (lacking := self._drivers.lacking(self._players.hider, self._alive, now)):
+        if self._phase is Phase.COMMANDS:
+            if "hider" not in self._commanded and (lacking := self._lacking(now)):
                 return self._abort(lacking, now)
             if now < self._deadline:
                 self._wake = min(now + SECOND, self._deadline)
                 return ()
             late = cast("tuple[Robot, ...]", tuple(robot for robot in ROBOTS if robot not in self._commanded))
-            if self._rules.step_period == 0.0 or self._step == 0:
+            if self._series.rules.step_period == 0.0 or self._step == 0:
                 return self._abort(f"no command from the {' or the '.join(late)} for step {self._step}", now)
             self._wait_for_poses(now)
             return (Publish("tick", Tick(stamp=now, episode=self._number, step=self._step, late=late)),)
-        if self._phase is _Phase.POSES:
-            return self._abort(self._blame(f"step {self._step} was not executed within {self._settings.step_patience:g} s"), now)
+        if self._phase is Phase.POSES:
+            return self._give_up(f"step {self._step} was not executed within {self._settings.step_patience:g} s", now)
         return ()
 
     def _finish_listening(self, now: int) -> Sequence[Send]:
-        self._phase = _Phase.IDLE
+        self._phase = Phase.IDLE
         self._wake = None
         sends: list[Send] = []
         if self._left_behind > self._number:
@@ -149,14 +132,14 @@ class RefereeCore:
 
     def _on_health(self, health: Health, now: int) -> Sequence[Send]:
         if health.service != "console":
-            self._trouble_of_world[health.service] = health.reason
+            self._troubles.hear(health)
             return ()
         self._drivers.hear_console(now)
-        return self._begin_if_possible(now) if self._phase is _Phase.IDLE else ()
+        return self._begin_if_possible(now) if self._phase is Phase.IDLE else ()
 
     @property
     def _in_game(self) -> bool:
-        return self._phase not in (_Phase.LISTENING, _Phase.IDLE, _Phase.PAUSE)
+        return self._phase not in (Phase.LISTENING, Phase.IDLE, Phase.PAUSE)
 
     def _on_control(self, control: Control, now: int) -> Sequence[Send]:
         if control.action == "pause":
@@ -173,15 +156,11 @@ class RefereeCore:
         if self._in_game:
             sends.extend(self._abort("stopped on request" if control.action == "stop" else "another game was asked for", now))
         if control.action == "stop":
-            self._games_left = 0
+            self._series.stop()
         else:
-            self._games_left = None if control.games == 0 else control.games
-            self._rules = control.rules
-            self._players = control.players
-            self._seed_of_first = control.seed
-            self._first_number = None
-        if self._phase is not _Phase.LISTENING:
-            self._phase = _Phase.IDLE
+            self._series.ask(control)
+        if self._phase is not Phase.LISTENING:
+            self._phase = Phase.IDLE
             self._wake = None
             sends.extend(self._begin_if_possible(now))
         return sends
@@ -189,64 +168,61 @@ class RefereeCore:
     def _hold(self, now: int) -> Sequence[Send]:
         if self._held:
             return ()
-        if not self._in_game and self._games_left == 0:
+        if not self._in_game and self._series.left == 0:
             raise Unexpected("pause: no game is being played, and none is to follow")
         self._held = True
-        if self._phase is _Phase.PACING:
+        if self._phase is Phase.PACING:
             self._wake = None
         # In the set-up the world would take a repeated message for another one.
-        return (self._episode("running", now),) if self._in_game and self._phase is not _Phase.SETUP else ()
+        return (self._episode("running", now),) if self._in_game and self._phase is not Phase.SETUP else ()
 
     def _go_on(self, now: int) -> Sequence[Send]:
         if not self._held:
             raise Unexpected("resume: nothing is paused")
         self._held = False
-        if self._phase is _Phase.IDLE:
+        if self._phase is Phase.IDLE:
             return self._begin_if_possible(now)
-        if not self._in_game or self._phase is _Phase.SETUP:
+        if not self._in_game or self._phase is Phase.SETUP:
             return ()
         said = self._episode("running", now)
-        return [said, *self._tick_when_due(now)] if self._phase is _Phase.PACING else (said,)
+        return [said, *self._tick_when_due(now)] if self._phase is Phase.PACING else (said,)
 
     def _discard(self, number: int, now: int) -> Sequence[Send]:
         if self._in_game and number == self._number:
             return self._abort("discarded by the player", now)
-        if not 1 <= number <= self._number and self._phase is not _Phase.LISTENING:
+        if not 1 <= number <= self._number and self._phase is not Phase.LISTENING:
             raise Unexpected(f"discard: there was no episode {number}")
         return ()
 
     def _begin_if_possible(self, now: int) -> Sequence[Send]:
-        if self._held or self._games_left == 0:
+        if self._held or self._series.left == 0:
             return ()
-        if any(self._alive.isdisjoint(names.split("|")) for names in self._settings.required):
+        if self._troubles.missing(self._alive):
             self._driver_until = None
             return ()
-        lacking = self._drivers.lacking(self._players.hider, self._alive, now)
-        if lacking and self._drivers.may_come(self._players.hider):
+        lacking = self._lacking(now)
+        if lacking and self._drivers.may_come(self._series.players.hider):
             if self._driver_until is None:
                 self._driver_until = now + int(self._settings.driver_patience * SECOND)
             if now < self._driver_until:
                 self._wake = self._driver_until
                 return ()
         self._driver_until = None
-        if self._games_left is not None:
-            self._games_left -= 1
         self._number += 1
-        if self._first_number is None:
-            self._first_number = self._number
+        self._series.begin(self._number)
         self._step = 0
         self._poses.clear()
-        self._phase = _Phase.SETUP
+        self._phase = Phase.SETUP
         self._set_up_at = now
         self._wake = now + int(self._settings.setup_patience * SECOND)
         setup = self._episode("setup", now)
         if lacking:
-            self._games_left = 0  # the next ones would fare no better
+            self._series.stop()  # the next ones would fare no better
             return [setup, *self._abort(lacking, now)]
         return (setup,)
 
     def _on_pose(self, robot: str, pose: Pose, now: int) -> Sequence[Send]:
-        expected = {_Phase.SETUP: 0, _Phase.COMMANDS: self._step + 1, _Phase.POSES: self._step + 1}.get(self._phase)
+        expected = {Phase.SETUP: 0, Phase.COMMANDS: self._step + 1, Phase.POSES: self._step + 1}.get(self._phase)
         if pose.episode != self._number or pose.step != expected:
             raise Unexpected(f"{robot}/pose of episode {pose.episode} step {pose.step} while {self._phase.value}")
         self._poses[robot] = pose
@@ -254,30 +230,30 @@ class RefereeCore:
             return ()
         hider, seeker = self._poses["hider"], self._poses["seeker"]
         self._poses.clear()
-        if self._phase is _Phase.SETUP:
+        if self._phase is Phase.SETUP:
             self._due = now
             return [self._episode("running", now), *self._tick_when_due(now)]
         reached = self._step + 1
         distance = math.hypot(hider.x - seeker.x, hider.y - seeker.y)
-        if self._rules.catching and distance <= self._rules.catch_distance + CATCH_TOLERANCE:
+        if self._series.rules.catching and distance <= self._series.rules.catch_distance + CATCH_TOLERANCE:
             return self._end("caught", reached, now)
-        if reached >= self._rules.maximum_steps:
+        if reached >= self._series.rules.maximum_steps:
             return self._end("survived", reached, now)
         self._step = reached
-        self._due = self._ticked_at + int(self._rules.step_period * SECOND)
+        self._due = self._ticked_at + int(self._series.rules.step_period * SECOND)
         return self._tick_when_due(now)
 
     def _tick_when_due(self, now: int) -> Sequence[Send]:
         if now >= self._due and not self._held:
             return self._tick(self._step, now)
-        self._phase = _Phase.PACING
+        self._phase = Phase.PACING
         self._wake = None if self._held else self._due
         return ()
 
     def _on_command(self, robot: str, command: Command, now: int) -> Sequence[Send]:
         if command.episode == self._number and command.step < self._step:
             return ()  # the poses that followed from it came first: publishers are not ordered among each other
-        if self._phase is not _Phase.COMMANDS or command.episode != self._number or command.step != self._step:
+        if self._phase is not Phase.COMMANDS or command.episode != self._number or command.step != self._step:
             raise Unexpected(f"{robot}/command for episode {command.episode} step {command.step} while {self._phase.value}")
         self._commanded.add(robot)
         if len(self._commanded) == len(ROBOTS):
@@ -285,19 +261,19 @@ class RefereeCore:
         return ()
 
     def _wait_for_poses(self, now: int) -> None:
-        self._phase = _Phase.POSES
+        self._phase = Phase.POSES
         self._wake = now + int(self._settings.step_patience * SECOND)
 
     def _tick(self, step: int, now: int) -> Sequence[Send]:
         self._step = step
         self._commanded.clear()
-        self._phase = _Phase.COMMANDS
+        self._phase = Phase.COMMANDS
         self._ticked_at = now
         patience = self._settings.planning_patience if step == 0 else self._settings.command_patience
-        if self._rules.step_period == 0.0:
+        if self._series.rules.step_period == 0.0:
             patience = self._settings.planning_patience
         self._deadline = now + int(patience * SECOND)
-        self._wake = min(self._deadline, now + SECOND) if self._players.hider == HUMAN else self._deadline
+        self._wake = min(self._deadline, now + SECOND) if self._series.players.hider == HUMAN else self._deadline
         return (Publish("tick", Tick(stamp=now, episode=self._number, step=step)),)
 
     def _end(self, outcome: str, step: int, now: int) -> Sequence[Send]:
@@ -312,37 +288,17 @@ class RefereeCore:
         self._rest(now)
         return (episode,)
 
-    def _blame(self, reason: str) -> str:
-        """Return a reason with who is not alive, and what those who embody the robots last said: they owe the answer."""
-        gone = [names for names in self._settings.required if self._alive.isdisjoint(names.split("|"))]
-        troubles = [f"{names.replace('|', ' or ')} is not alive" for names in gone]
-        for service, trouble in self._trouble_of_world.items():
-            if trouble and service in self._alive:
-                said = f"{service}: {trouble}"
-                troubles.append(said if len(said) <= SHARE else said[: SHARE - 3] + "...")
-        return "; ".join([reason, *troubles])[:REASON_LIMIT]
+    def _give_up(self, reason: str, now: int) -> Sequence[Send]:
+        return self._abort(self._troubles.blame(reason, self._alive), now)
+
+    def _lacking(self, now: int) -> str:
+        return self._drivers.lacking(self._series.players.hider, self._alive, now)
 
     def _rest(self, now: int) -> None:
-        self._held = self._held and self._games_left != 0
-        self._phase = _Phase.PAUSE
-        self._wake = now + (int(self._settings.pause * SECOND) if self._rules.step_period > 0 else 0)
+        self._held = self._held and self._series.left != 0
+        self._phase = Phase.PAUSE
+        self._wake = now + (int(self._settings.pause * SECOND) if self._series.rules.step_period > 0 else 0)
 
-    def _episode(
-        self, phase: str, now: int, *, outcome: str = "undecided", caught_step: int | None = None, reason: str = ""
-    ) -> Publish:
-        return Publish(
-            "episode",
-            Episode(
-                stamp=now,
-                episode=self._number,
-                step=self._step,
-                seed=self._seed_of_first + (0 if self._first_number is None else self._number - self._first_number),
-                phase=phase,  # type: ignore[arg-type]
-                rules=self._rules,
-                players=self._players,
-                outcome=outcome,  # type: ignore[arg-type]
-                caught_step=caught_step,
-                reason=reason,
-                paused=self._held and (phase == "running" or self._games_left != 0),
-            ),
-        )
+    def _episode(self, phase: GamePhase, now: int, **how: Any) -> Publish:
+        paused = self._held and (phase == "running" or self._series.left != 0)
+        return Publish("episode", self._series.episode(self._number, phase, stamp=now, step=self._step, paused=paused, **how))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import random
+import re
 from typing import Any
 
 import pytest
@@ -23,6 +24,7 @@ from schemas import (
     decode,
 )
 from services.console import requests
+from services.console.application import FOLDER
 from services.console.core import ConsoleCore
 from services.console.events import PAGE, PageEvent, Refusals
 from services.console.prediction import HORIZONS
@@ -98,6 +100,8 @@ def test_the_welcome_says_what_a_page_needs_to_draw(table: Table) -> None:
         with pytest.raises(requests.MalformedRequest):
             requests.decode_request(json.dumps({"type": "start", name: limits[name] + 1}))
     assert set(welcome["seekers"]) == set(PRESETS)
+    page = "".join(path.read_text() for path in FOLDER.rglob("*.js"))
+    assert not [name for name in (*welcome, *limits) if not re.search(rf"\b{name}\b", page)]
     assert len(welcome["goals"]) == GOAL_COUNT
     assert welcome["palette"] == PALETTE.tolist()
     assert len(welcome["palette_names"]) == len(PALETTE)
