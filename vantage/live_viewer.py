@@ -207,7 +207,7 @@ def main(settings: LiveViewer) -> int:
             server = Server(settings.host, settings.port, bus.post, f"vantage {settings.deployment}")
             try:
                 layout = deployment.folder / f"foxglove{SUFFIX}"
-                layout.write_text(as_json(layout_of([VIEWER_PREFIX + topic for topic in _LIVE_TOPICS])))
+                layout.write_text(as_json(layout_of([VIEWER_PREFIX + topic for topic in _LIVE_TOPICS], arena_appearance())))
                 _say(settings, server.port, layout)
                 # Raw: of what this process is too slow for, a bounded number of bytes waits.
                 bus.subscribe("**", raw=True)

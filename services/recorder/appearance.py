@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from vantage.log.appearance import Appearance
+from schemas import Robot
+from vantage.log.appearance import Appearance, Color
 from vantage.perception.palette import PALETTE, PALETTE_NAMES
-from vantage.world.arena import HIDER_COLOR, ROBOT_HEIGHT, ROBOT_RADIUS, SEEKER_COLOR
+from vantage.world.arena import ARENA_SIZE, HIDER_COLOR, ROBOT_HEIGHT, ROBOT_RADIUS, SEEKER_COLOR
 
 
 def arena_appearance() -> Appearance:
     """Return the looks that the rest of the house uses: the state images' palette, the robots' own size and colours."""
-    return Appearance(PALETTE, PALETTE_NAMES, ROBOT_RADIUS, ROBOT_HEIGHT, {"hider": HIDER_COLOR, "seeker": SEEKER_COLOR})
+    colors: dict[Robot, Color] = {"hider": HIDER_COLOR, "seeker": SEEKER_COLOR}
+    return Appearance(PALETTE, PALETTE_NAMES, ROBOT_RADIUS, ROBOT_HEIGHT, colors, ARENA_SIZE)

@@ -19,6 +19,8 @@ _CELL_PIXELS = 20
 _LOWEST_PICTURE = 32
 
 Picture = NDArray[np.uint8]
+Color = tuple[int, int, int]
+"""Red, green, blue, each 0..255."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,14 +31,19 @@ class Appearance:
         palette: uint8 [n, 3], red green blue of the state image's indices.
         palette_names: what each index means, n words.
         robot_radius, robot_height: m.
-        robot_colors: robot -> red, green, blue, each 0..255.
+        robot_colors: robot -> its colour.
+        arena_size: m; of its longer side.
+        floor_color, box_color: of the floor and of the obstacles on it.
     """
 
     palette: Picture
     palette_names: tuple[str, ...]
     robot_radius: float
     robot_height: float
-    robot_colors: dict[Robot, tuple[int, int, int]]
+    robot_colors: dict[Robot, Color]
+    arena_size: float
+    floor_color: Color = (225, 225, 225)
+    box_color: Color = (90, 90, 100)
 
 
 def row_repeats(height: int) -> int:

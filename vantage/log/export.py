@@ -140,6 +140,6 @@ def export_log(
             why = (failure or "messages were lost").partition("; messages dropped")[0].rpartition(": ")[2]
             raise ExportError(f"{target}: {why}")
         with whole(layout, force=force, is_ours=_is_layout) as partial_layout:
-            partial_layout.write_text(as_json(layout_of(shown)))
+            partial_layout.write_text(as_json(layout_of(shown, viewer.appearance)))
     progress("writing", 1.0)
     return count

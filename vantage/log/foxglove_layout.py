@@ -10,6 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 from schemas import ROBOTS
+from vantage.log.appearance import Appearance
 from vantage.log.metadata import VIEWER_PREFIX
 from vantage.log.viewer import ARENA_FRAME
 
@@ -19,13 +20,14 @@ _FARTHEST = 1500  # mm that the depth panels tell apart; the arena's diagonal is
 Tree = str | dict[str, Any]
 
 
-def layout_of(topics: Collection[str], size: float = 1.2) -> dict[str, Any]:
+def layout_of(topics: Collection[str], looks: Appearance) -> dict[str, Any]:
     """Return a layout: the scene, pictures, value map, predicted views, texts and plots, as far as there are topics for them.
 
     Args:
         topics: full names (`viewer/...`).
-        size: of the arena, m; what the scene's camera looks at.
+        looks: the arena's size, which the scene's camera looks at, and the robots' colours.
     """
+    size = looks.arena_size
     there = {topic.removeprefix(VIEWER_PREFIX) for topic in topics if topic.startswith(VIEWER_PREFIX)}
     panels: dict[str, dict[str, Any]] = {}
     panels["3D!scene"] = _scene(there, size)
@@ -63,9 +65,9 @@ def layout_of(topics: Collection[str], size: float = 1.2) -> dict[str, Any]:
                 "enabled": True,
                 "timestampMethod": "receiveTime",
                 "label": f"{robot} {coordinate}, m",
-                "color": color,
+                "color": "#{:02x}{:02x}{:02x}".format(*looks.robot_colors[robot]),
             }
-            for robot, color in zip(ROBOTS, ("#19be3c", "#e12828"), strict=True)
+            for robot in ROBOTS
             if f"{robot}/pose" in there
         ]
         if paths:

@@ -35,7 +35,7 @@ _RIGHT = 655
 _PICTURE = (295, 222)
 _MAP = 193
 _SIGHT = 0.40  # m that the field of view is drawn long
-_BACKGROUND, _INK, _QUIET, _FLOOR, _BOX = (24, 26, 30), (240, 240, 240), (150, 155, 165), (225, 225, 225), (90, 90, 100)
+_BACKGROUND, _INK, _QUIET = (24, 26, 30), (240, 240, 240), (150, 155, 165)
 
 Place = tuple[float, float]
 
@@ -192,9 +192,9 @@ class GamePicture:
         side = _FINE * _ARENA[2]
         arena = self._image.new("RGB", (side, side), _BACKGROUND)
         pen = self._draw.Draw(arena)
-        pen.rectangle((*self._pixel(0.0, layout.depth), *self._pixel(layout.width, 0.0)), fill=_FLOOR)
+        pen.rectangle((*self._pixel(0.0, layout.depth), *self._pixel(layout.width, 0.0)), fill=self._looks.floor_color)
         for box in layout.obstacles:
-            pen.polygon([self._pixel(*corner) for corner in _corners(box)], fill=_BOX)
+            pen.polygon([self._pixel(*corner) for corner in _corners(box)], fill=self._looks.box_color)
         return arena
 
     def _pixel(self, x: float, y: float) -> Place:

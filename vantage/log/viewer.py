@@ -20,7 +20,6 @@ from schemas import (
     Episode,
     Gap,
     Health,
-    Intrinsics,
     Layout,
     MalformedMessage,
     Message,
@@ -33,7 +32,8 @@ from schemas import (
     Track,
     decode,
 )
-from vantage.log.appearance import GOALS_A_SIDE, Appearance, Picture, row_repeats, value_picture
+from vantage.log.appearance import GOALS_A_SIDE, Appearance, value_picture
+from vantage.log.foxglove_messages import calibration_of, camera_image_of, colored, image_of, placed, time_of, turned
 from vantage.log.words import words_of
 
 __all__ = ["Appearance", "Viewer", "ViewerMessage", "value_picture"]
@@ -76,67 +76,6 @@ def _as_viewer_message(topic: str, message: Any) -> ViewerMessage:
     return ViewerMessage(topic, *known, message.encode())
 
 
-def _time(message: Message) -> fox.Timestamp:
-    return fox.Timestamp(sec=message.stamp // 1_000_000_000 % 2**32, nsec=message.stamp % 1_000_000_000)
-
-
-def _place(x: float, y: float, z: float, heading: float = 0.0) -> fox.Pose:
-    return fox.Pose(position=fox.Vector3(x=x, y=y, z=z), orientation=_turned(heading))
-
-
-def _turned(heading: float) -> fox.Quaternion:
-    return fox.Quaternion(x=0.0, y=0.0, z=math.sin(heading / 2), w=math.cos(heading / 2))
-
-
-def _color(red: float, green: float, blue: float, alpha: float = 1.0) -> fox.Color:
-    return fox.Color(r=red / 255, g=green / 255, b=blue / 255, a=alpha)
-
-
-def _image(message: Message, frame: str, picture: Picture) -> fox.RawImage:
-    height, width, _ = picture.shape
-    return fox.RawImage(
-        timestamp=_time(message),
-        frame_id=frame,
-        width=width,
-        height=height,
-        encoding="rgb8",
-        step=3 * width,
-        data=picture.tobytes(),
-    )
-
-
-def _camera_image(message: DepthImage | ColorImage, robot: str, encoding: str, pixel: int) -> fox.RawImage:
-    """A picture of few rows (the one-row camera) is shown with its rows repeated, or nobody would see it."""
-    repeats = row_repeats(message.height)
-    step = message.width * pixel
-    data = message.data
-    if repeats > 1:
-        data = b"".join(data[row * step : (row + 1) * step] * repeats for row in range(message.height))
-    return fox.RawImage(
-        timestamp=_time(message),
-        frame_id=f"{robot}/camera",
-        width=message.width,
-        height=message.height * repeats,
-        encoding=encoding,
-        step=step,
-        data=data,
-    )
-
-
-def _calibration(message: DepthImage, robot: str, lens: Intrinsics) -> fox.CameraCalibration:
-    return fox.CameraCalibration(
-        timestamp=_time(message),
-        frame_id=f"{robot}/camera",
-        width=message.width,
-        height=message.height,
-        distortion_model="plumb_bob",
-        D=[0.0] * 5,
-        K=[lens.fx, 0.0, lens.cx, 0.0, lens.fy, lens.cy, 0.0, 0.0, 1.0],
-        R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
-        P=[lens.fx, 0.0, lens.cx, 0.0, 0.0, lens.fy, lens.cy, 0.0, 0.0, 0.0, 1.0, 0.0],
-    )
-
-
 class Viewer:
     """Translates messages of the bus; see `translate`."""
 
@@ -146,7 +85,7 @@ class Viewer:
         picture_rate: of pictures above 256 KiB, show at most so many a second of each topic (a recorder that copies two
             640 x 480 RGB-D streams at 30 Hz a second time works twice as hard); None: show all.
         """
-        self._appearance = appearance
+        self.appearance = appearance
         self._picture_period = 0 if picture_rate is None else round(1e9 / picture_rate)
         self._last_shown: dict[str, int] = {}
         self._playback: tuple[object, ...] = ()
@@ -187,14 +126,14 @@ class Viewer:
     def _pose(self, key: str, message: Pose | Track) -> list[tuple[str, Any]]:
         robot = key.partition("/")[0]
         shown = fox.PoseInFrame(
-            timestamp=_time(message), frame_id=ARENA_FRAME, pose=_place(message.x, message.y, 0.0, message.heading)
+            timestamp=time_of(message), frame_id=ARENA_FRAME, pose=placed(message.x, message.y, 0.0, message.heading)
         )
         frame = fox.FrameTransform(
-            timestamp=_time(message),
+            timestamp=time_of(message),
             parent_frame_id=ARENA_FRAME,
             child_frame_id=robot,
             translation=fox.Vector3(x=message.x, y=message.y, z=0.0),
-            rotation=_turned(message.heading),
+            rotation=turned(message.heading),
         )
         return [(key, shown), ("frames", frame)]
 
@@ -202,60 +141,60 @@ class Viewer:
         robot = key.partition("/")[0]
         # The optical frame: z forward, x right, y down.
         camera = fox.FrameTransform(
-            timestamp=_time(message),
+            timestamp=time_of(message),
             parent_frame_id=robot,
             child_frame_id=f"{robot}/camera",
             translation=fox.Vector3(x=0.0, y=0.0, z=message.intrinsics.mount_height),
             rotation=fox.Quaternion(x=-0.5, y=0.5, z=-0.5, w=0.5),
         )
         return [
-            (key, _camera_image(message, robot, "16UC1", 2)),
-            (f"{robot}/calibration", _calibration(message, robot, message.intrinsics)),
+            (key, camera_image_of(message, robot, "16UC1", 2)),
+            (f"{robot}/calibration", calibration_of(message, robot, message.intrinsics)),
             ("frames", camera),
         ]
 
     def _picture(self, key: str, message: ColorImage) -> list[tuple[str, Any]]:
-        return [(key, _camera_image(message, key.partition("/")[0], "rgb8", 3))]
+        return [(key, camera_image_of(message, key.partition("/")[0], "rgb8", 3))]
 
     def _state_image(self, key: str, message: StateImage) -> list[tuple[str, Any]]:
         indices = np.frombuffer(message.data, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)
-        return [(key, _image(message, ARENA_FRAME, np.take(self._appearance.palette, indices, axis=0, mode="clip")))]
+        return [(key, image_of(message, ARENA_FRAME, np.take(self.appearance.palette, indices, axis=0, mode="clip")))]
 
     def _layout(self, _key: str, message: Layout) -> list[tuple[str, Any]]:
         thin = 0.002
         floor = fox.CubePrimitive(
-            pose=_place(message.width / 2, message.depth / 2, -thin),
+            pose=placed(message.width / 2, message.depth / 2, -thin),
             size=fox.Vector3(x=message.width, y=message.depth, z=thin),
-            color=_color(225, 225, 225),
+            color=colored(*self.appearance.floor_color),
         )
         boxes = [
             fox.CubePrimitive(
-                pose=_place(box.x, box.y, box.height / 2, box.heading),
+                pose=placed(box.x, box.y, box.height / 2, box.heading),
                 size=fox.Vector3(x=2 * box.half_width, y=2 * box.half_depth, z=box.height),
-                color=_color(90, 90, 100),
+                color=colored(*self.appearance.box_color),
             )
             for box in message.obstacles
         ]
-        entities = [fox.SceneEntity(timestamp=_time(message), frame_id=ARENA_FRAME, id="layout", cubes=[floor, *boxes])]
-        looks = self._appearance
+        entities = [fox.SceneEntity(timestamp=time_of(message), frame_id=ARENA_FRAME, id="layout", cubes=[floor, *boxes])]
+        looks = self.appearance
         for robot in ROBOTS:
             body = fox.CylinderPrimitive(
-                pose=_place(0.0, 0.0, looks.robot_height / 2),
+                pose=placed(0.0, 0.0, looks.robot_height / 2),
                 size=fox.Vector3(x=2 * looks.robot_radius, y=2 * looks.robot_radius, z=looks.robot_height),
                 bottom_scale=1.0,
                 top_scale=1.0,
-                color=_color(*looks.robot_colors[robot]),
+                color=colored(*looks.robot_colors[robot]),
             )
             nose = fox.ArrowPrimitive(
-                pose=_place(0.0, 0.0, looks.robot_height),
+                pose=placed(0.0, 0.0, looks.robot_height),
                 shaft_length=looks.robot_radius,
                 shaft_diameter=0.012,
                 head_length=0.03,
                 head_diameter=0.03,
-                color=_color(20, 20, 20),
+                color=colored(20, 20, 20),
             )
             entity = fox.SceneEntity(
-                timestamp=_time(message), frame_id=robot, id=robot, frame_locked=True, cylinders=[body], arrows=[nose]
+                timestamp=time_of(message), frame_id=robot, id=robot, frame_locked=True, cylinders=[body], arrows=[nose]
             )
             entities.append(entity)
         return [("scene", fox.SceneUpdate(entities=entities))]
@@ -265,9 +204,9 @@ class Viewer:
         if len(message.values) == GOAL_COUNT:
             values = np.array([np.nan if value is None else value for value in message.values], np.float32)
             grid = fox.Grid(
-                timestamp=_time(message),
+                timestamp=time_of(message),
                 frame_id=ARENA_FRAME,
-                pose=_place(_GOAL_SPACING / 2, _GOAL_SPACING / 2, 0.001),
+                pose=placed(_GOAL_SPACING / 2, _GOAL_SPACING / 2, 0.001),
                 column_count=GOALS_A_SIDE,
                 cell_size=fox.Vector2(x=_GOAL_SPACING, y=_GOAL_SPACING),
                 row_stride=4 * GOALS_A_SIDE,
@@ -276,15 +215,15 @@ class Viewer:
                 data=values.tobytes(),
             )
             shown.append((f"{key}/values", grid))
-            shown.append((f"{key}/picture", _image(message, ARENA_FRAME, value_picture(message.values, message.goal))))
+            shown.append((f"{key}/picture", image_of(message, ARENA_FRAME, value_picture(message.values, message.goal))))
         path = np.frombuffer(message.path, np.float32).reshape(-1, 3)
         line = fox.LinePrimitive(
             type=fox.LinePrimitiveLineType.LineStrip,
             thickness=0.008,
             points=[fox.Point3(x=float(x), y=float(y), z=0.005) for x, y, _ in path if math.isfinite(x) and math.isfinite(y)],
-            color=_color(*self._appearance.robot_colors["hider"], 0.9),
+            color=colored(*self.appearance.robot_colors["hider"], 0.9),
         )
-        entity = fox.SceneEntity(timestamp=_time(message), frame_id=ARENA_FRAME, id="plan", lines=[line])
+        entity = fox.SceneEntity(timestamp=time_of(message), frame_id=ARENA_FRAME, id="plan", lines=[line])
         shown.append((f"{key}/path", fox.SceneUpdate(entities=[entity])))
         return shown
 
@@ -292,13 +231,13 @@ class Viewer:
         if not message.views:
             return []
         views = [np.frombuffer(view, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3) for view in message.views]
-        return [("predictor/views", _image(message, ARENA_FRAME, np.concatenate(views, axis=1)))]
+        return [("predictor/views", image_of(message, ARENA_FRAME, np.concatenate(views, axis=1)))]
 
     def _text(self, key: str, message: Message) -> list[tuple[str, Any]]:
         words = words_of(key, message)
         if words is None:
             return []
-        return [("text", fox.Log(timestamp=_time(message), level=_LEVELS[words.level], name=words.name, message=words.text))]
+        return [("text", fox.Log(timestamp=time_of(message), level=_LEVELS[words.level], name=words.name, message=words.text))]
 
     def _playback_text(self, key: str, message: Playback) -> list[tuple[str, Any]]:
         """Said twice a second; shown when something changed."""
