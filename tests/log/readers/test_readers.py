@@ -23,7 +23,6 @@ def test_the_official_typescript_library_reads_the_copy(tmp_path: Path) -> None:
 
 
 def test_rerun_reads_the_copy(tmp_path: Path) -> None:
-    pytest.importorskip("rerun", reason=MISSING)
     check(programs.check_rerun_mcap, tmp_path)
 
 
