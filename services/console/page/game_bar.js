@@ -29,6 +29,7 @@ export class GameBar {
 
   /** The fields come with the console's word on what may be asked. */
   build() {
+    if (this.fields || !welcome()) return;
     const { limits, layouts, seekers } = welcome();
     this.fields = {
       seed: number(1, 0, Number.MAX_SAFE_INTEGER),
@@ -55,6 +56,7 @@ export class GameBar {
   }
 
   begin() {
+    this.build(); // a key may come before the welcome is painted
     const { fields } = this;
     if (!fields) return;
     if (fields.hider.value === 'human') this.playMode();
@@ -76,7 +78,7 @@ export class GameBar {
   }
 
   paint() {
-    if (!this.fields && welcome()) this.build();
+    this.build();
     this.root.hidden = replaying();
     this.start.disabled = gameOn() || !this.fields;
     this.pause.disabled = !seriesOn() && !held();
