@@ -29,7 +29,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             started = time.monotonic()
             process = subprocess.Popen(
-                [VANTAGE, "log", "export", log, "--to", format, "--output", Path(folder) / "out"], stdout=subprocess.DEVNULL
+                [VANTAGE, "log", "export", log, "--to", format, "--output", Path(folder) / "out", "--without-catching"],
+                stdout=subprocess.DEVNULL,
             )
             _, status, used = os.wait4(process.pid, 0)
             took = time.monotonic() - started
