@@ -19,12 +19,15 @@ def playback(table: Table, jumps: int = 0, position: float = 1.0, **more: Any) -
     return "playback", Playback(stamp=table.now, **fields)
 
 
-@pytest.mark.parametrize("again", [{"log": "other.mcap", "position": 30.0}, {"position": 0.0}, {"position": 30.0}])
-def test_another_replay_is_not_mixed_with_the_one_before(table: Table, again: dict[str, Any]) -> None:
+@pytest.mark.parametrize(
+    ("state", "again"),
+    [("playing", {"log": "other.mcap", "position": 30.0}), ("playing", {"position": 0.0}), ("ended", {"position": 30.0})],
+)
+def test_another_replay_is_not_mixed_with_the_one_before(table: Table, state: str, again: dict[str, Any]) -> None:
     table.say("replay", [playback(table, position=29.0)])
     play_log(table, number=1, seed=3)
     assert table.header("score")["games"] == 1
-    table.say("replay", [playback(table, position=30.0, state="ended"), playback(table, **again)])
+    table.say("replay", [playback(table, position=30.0, state=state), playback(table, **again)])
     assert table.header("playback")["forget"] is True
     late = table.come(4)
     table.ask(requests.Views(episode=1, steps=(0,)), late)

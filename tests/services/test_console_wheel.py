@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import pytest
 
-from schemas import Control, Players, Rules
+from schemas import Control, Episode, Players, Rules
 from services.console import requests
-from services.console.events import PAGE, PageEvent
-from services.console.wheel import GRACE
+from services.console.wheel import GRACE, Wheel
 from tests.services.console_game import Table
 from tests.services.console_human import begin, commands, step_of, to_end, to_step
-from vantage.service import SECOND, Captured
+from vantage.service import SECOND, Publish
 
 
 @pytest.fixture
@@ -108,20 +107,28 @@ def test_whose_driver_is_gone_may_be_ended_by_anybody(table: Table) -> None:
     assert "stop" in [control.action for control in table.of("control")]
 
 
-def test_a_driver_that_took_the_wheel_of_a_game_in_its_set_up_and_goes_pauses_it(table: Table) -> None:
-    """The pause that the first driver left behind was taken back: the next one's going is a reason of its own."""
-    table.come(2)
-    begin(table, steps=100)
-    table.run(lambda: bool(table.of("episode")))
-    assert table.of("episode")[-1].phase == "setup"
-    table.go(1)
-    table.bus.post(Captured(PAGE, PageEvent(2, requests.Resume()), table.now))
-    to_step(table, 3)
-    assert table.header("session", 2)["driver"] == 2
-    assert not table.of("episode")[-1].paused
-    table.go(2)
-    table.run(lambda: table.of("episode")[-1].paused)
-    assert [control.action for control in table.of("control")] == ["start", "pause", "resume", "pause"]
+def test_a_pause_in_the_set_up_that_was_taken_back_is_asked_for_again_when_the_next_driver_goes() -> None:
+    """In the set-up the referee confirms no pause, so that only `resume` tells that it is over."""
+    wheel = Wheel()
+
+    def episode(phase: str) -> Episode:
+        return Episode(stamp=1, episode=1, seed=5, phase=phase, players=Players(hider="human"))  # type: ignore[arg-type]
+
+    wheel.take(1)
+    wheel.see(episode("setup"), True, 1)
+    assert wheel.mind(1) == []
+    wheel.leave()
+    (asked,) = wheel.mind(2)
+    assert isinstance(asked, Publish) and isinstance(asked.message, Control)
+    wheel.hear(asked.message)
+    assert wheel.mind(3) == []
+    wheel.take(2)
+    wheel.hear(Control(stamp=4, action="resume"))
+    wheel.see(episode("running"), False, 5)
+    assert wheel.mind(6) == []
+    wheel.leave()
+    (again,) = wheel.mind(7)
+    assert isinstance(again, Publish) and again.message == Control(stamp=7, action="pause")
 
 
 def test_a_console_that_is_restarted_pauses_the_game_and_goes_on_with_it(table: Table) -> None:
