@@ -113,6 +113,15 @@ def test_a_player_sees_nothing_but_the_hiders_eyes(page: ConsolePage) -> None:
     assert questions or page.get(BETWEEN), "a game is not ended by one click"
 
 
+def test_what_was_watched_is_forgotten_before_somebody_plays(page: ConsolePage) -> None:
+    page.press("g")
+    page.until("vantage.state.paths.seeker.length > 2 && vantage.state.past.size > 2 && vantage.state.frames['hider/plan']")
+    page.press("h")
+    page.until("vantage.state.mode === 'play'")
+    assert page.get("vantage.state.paths.seeker.length + vantage.state.paths.hider.length + vantage.state.past.size") == 0
+    assert not [key for key in page.get("Object.keys(vantage.state.frames)") if "seeker" in key or "plan" in key]
+
+
 def test_a_pause_holds_the_steps_and_a_reload_gives_the_wheel_back(page: ConsolePage) -> None:
     page.begin_human_game(steps=400, seed=11)
     page.until(f"{STEP} >= 2")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import cmath
+import math
 import os
 import signal
 from collections.abc import Callable
@@ -23,7 +25,7 @@ def watch_a_game(page: ConsolePage) -> None:
 
 def test_every_panel_has_a_title_and_an_explanation_and_every_field_a_label(page: ConsolePage) -> None:
     for panel in page.page.locator(".panel").all():
-        assert panel.locator("h2").inner_text().strip()
+        assert panel.locator("h2").first.inner_text().strip()  # the first visit adds another
         assert panel.locator(".explanation").inner_text().strip()
     unnamed = page.get("[...document.querySelectorAll('input, select')].filter((e) => !e.labels.length && !e.ariaLabel).length")
     assert unnamed == 0
@@ -61,6 +63,61 @@ def test_the_row_of_predictions_fills_itself_and_the_truth_comes_under_it(page: 
     page.until(f"vantage.state.past.get({first}) && document.querySelector('.actual span').hidden", timeout=8)
 
 
+# Of each predicted step: whether the canvases show its prediction, and its truth.
+SHOWN_UNDER_STEPS = """async () => {
+  const { paintPredicted, paintView } = await import('./pictures.js');
+  const { header, payload } = vantage.state.frames.prediction;
+  const pixels = (canvas) => canvas.getContext('2d').getImageData(0, 0, 128, 128).data.join();
+  const painted = (paint, ...more) => {
+    const canvas = document.createElement('canvas');
+    paint(canvas, ...more);
+    return pixels(canvas);
+  };
+  const size = 128 * 128 * 3;
+  return [...document.querySelectorAll('.prediction')].map((cell, i) => {
+    const [predicted, actual] = cell.querySelectorAll('canvas');
+    const truth = vantage.state.past.get(header.steps[i]);
+    return [
+      pixels(predicted) === painted(paintPredicted, payload.slice(i * size, (i + 1) * size)),
+      truth ? pixels(actual) === painted(paintView, truth, 'seeker') : null,
+    ];
+  });
+}"""
+
+
+def test_each_prediction_and_each_true_view_is_shown_under_its_own_step(page: ConsolePage) -> None:
+    watch_a_game(page)
+    page.until("vantage.state.frames.prediction?.header.steps.length > 1")
+    page.until("document.querySelectorAll('.actual span[hidden]').length >= 1", timeout=20)
+    page.press(" ")  # nothing is painted any more
+    page.until("vantage.state.frames.episode.header.paused")
+    page.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    found = page.page.evaluate(SHOWN_UNDER_STEPS)
+    assert all(predicted for predicted, _ in found)
+    assert {true for _, true in found if true is not None} == {True}
+
+
+def test_boxes_and_what_they_hide_are_where_they_are(page: ConsolePage) -> None:
+    boxes = [{"x": 0.33, "y": 0.81, "half_width": 0.12, "half_depth": 0.06, "heading": 0.5}]
+    found = page.page.evaluate("async (boxes) => boxes.map((await import('./visibility.js')).corners)", boxes)
+    turned = cmath.exp(0.5j)
+    expected = [complex(0.33, 0.81) + turned * complex(x, y) for x in (-0.12, 0.12) for y in (-0.06, 0.06)]
+    assert len(found[0]) == 4
+    for corner in expected:
+        assert min(abs(complex(*point) - corner) for point in found[0]) < 1e-9
+    # Looking along +y, the box is ahead on the left: there the view ends at it, on the right at the wall.
+    pose = {"x": 0.6, "y": 0.2, "heading": math.pi / 2}
+    box = {"x": 0.45, "y": 0.5, "half_width": 0.05, "half_depth": 0.05, "heading": 0.0}
+    view = page.page.evaluate(
+        "async ([pose, box]) => (await import('./visibility.js')).viewOf(pose, 1.0, [box], 1.2, 1.2)", [pose, box]
+    )
+    assert view[0] == [0.6, 0.2]
+    assert min(y for x, y in view[1:] if x > 0.6) > 1.19
+    assert any(0.4 <= x <= 0.5 and abs(y - 0.45) < 1e-6 for x, y in view[1:])
+    angles = [math.atan2(y - 0.2, x - 0.6) - math.pi / 2 for x, y in view[1:]]
+    assert (min(angles), max(angles)) == (pytest.approx(-0.5), pytest.approx(0.5))
+
+
 def test_a_goal_that_is_clicked_gets_its_predicted_views(page: ConsolePage) -> None:
     watch_a_game(page)
     page.until("vantage.state.frames.prediction")
@@ -80,7 +137,7 @@ def test_a_goal_that_is_clicked_gets_its_predicted_views(page: ConsolePage) -> N
     page.page.mouse.click(*find_another_goal())
     page.until(f"vantage.state.goal !== null && vantage.state.goal !== {own}")
     page.until("vantage.state.frames.prediction.header.goal === vantage.state.goal")
-    assert "your goal" in page.text(".predictions .facts")
+    page.until("document.querySelector('.predictions .facts').innerText.includes('your goal')")
     painted = "document.querySelector('.prediction canvas').getContext('2d').getImageData(0, 0, 128, 128).data"
     assert page.get(f"{painted}.some((value, i) => i % 4 < 3 && value > 0)")
 
