@@ -86,6 +86,23 @@ def test_episodes_begin_and_end_with_their_own_frames(tmp_path: Path) -> None:
     assert end == len(frames)
 
 
+def test_statistics_of_an_episode_are_those_of_its_own_frames(tmp_path: Path) -> None:
+    export_to("lerobot", real_log(), tmp_path / "set", LOOKS, choice=EVERYTHING)
+    frames = frames_of(tmp_path / "set")
+    for episode in episodes_of(tmp_path / "set"):
+        own = frames[episode["dataset_from_index"] : episode["dataset_to_index"]]
+        color = np.stack([pixels(frame["observation.images.hider_color"]) for frame in own]) / 255
+        depth = np.array([frame["observation.depth.hider"] for frame in own])
+        pose = np.array([frame["observation.state"] for frame in own])
+        for name, mean in (
+            ("observation.images.hider_color", color.mean((0, 1, 2))),
+            ("observation.depth.hider", depth.mean()),
+            ("observation.state", pose.mean(0)),
+        ):
+            assert episode[f"stats/{name}/count"] == [len(own)]
+            assert np.ravel(episode[f"stats/{name}/mean"]) == pytest.approx(np.ravel(mean), rel=1e-5)
+
+
 def test_the_persons_name_does_not_go_in(tmp_path: Path) -> None:
     export_to("lerobot", real_log(), tmp_path / "set", LOOKS, choice=EVERYTHING)
     assert {episode["vantage/hider"] for episode in episodes_of(tmp_path / "set")} == {"human"}
@@ -169,12 +186,15 @@ def test_a_robot_that_was_late_stayed(tmp_path: Path) -> None:
 def test_true_times_are_kept_also_when_they_are_uneven(tmp_path: Path) -> None:
     messages = []
     for key, message in game(1, 6):
-        jitter = message.step**2 * 7_000_000 + (1000 if key == "hider/color" else 0)
+        jitter = message.step**2 * 7_000_000 if key == "hider/color" else 0  # the pictures' own times count, no others
         messages.append((key, structs.replace(message, stamp=message.stamp + jitter)))
     write(tmp_path / "log.mcap", records_of(messages))
     export_to("lerobot", tmp_path / "log.mcap", tmp_path / "set", LOOKS)
-    found = [frame["timestamp"] for frame in frames_of(tmp_path / "set")]
-    assert found == pytest.approx([0.25 * step + 0.007 * step**2 for step in range(6)], abs=1e-6)
+    frames = frames_of(tmp_path / "set")
+    expected = [0.25 * step + 0.007 * step**2 for step in range(6)]
+    assert [frame["timestamp"] for frame in frames] == pytest.approx(expected, abs=1e-6)
+    captured = [message.stamp for key, message in messages if key == "hider/color"]
+    assert [frame["capture_time_ns"] for frame in frames] == captured[: len(frames)]
 
 
 def test_a_folder_of_logs_is_one_data_set_and_sizes_must_agree(tmp_path: Path) -> None:

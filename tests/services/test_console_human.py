@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pytest
 from msgspec.structs import replace
 
-from schemas import ColorImage, DepthImage, Episode, Playback, Players, Pose
+from schemas import ColorImage, Command, DepthImage, Episode, Playback, Players, Pose, StateImage, Tick
 from services.console import requests
 from services.console.core import ConsoleCore
 from services.console.events import PAGE, PageEvent
-from services.console.human import HEARD
+from services.console.human import HEARD, answer
 from tests.services.console_game import Table
 from tests.services.console_human import begin, commands, step_of, to_end, to_step
 from vantage.perception.state_image import perceive
 from vantage.service import Arrived, Captured, Publish
+from vantage.world.camera import Camera
 
 
 @pytest.fixture
@@ -166,3 +169,18 @@ def test_a_replayed_game_of_a_human_is_left_alone(replayed: Table) -> None:
     table.say("replay", [("playback", Playback(stamp=table.now, log="x", position=0.0, duration=9.0, jumps=1))])
     table.run_for(3.0)
     assert not table.of("control")
+
+
+def test_an_answer_carries_the_time_of_the_depth_picture() -> None:
+    place = {"episode": 3, "step": 7}
+    picture: dict[str, Any] = {"width": 160, "height": 1, "intrinsics": Camera(width=160, height=120).intrinsics()}
+    complete = (
+        Pose(stamp=1, x=0.6, y=0.6, heading=0.0, **place),
+        DepthImage(stamp=2, data=bytes(320), **picture, **place),
+        ColorImage(stamp=3, data=bytes(480), **picture, **place),
+        Tick(stamp=4, **place),
+    )
+    image, command = (send.message for send in answer(complete, "left") if isinstance(send, Publish))
+    assert isinstance(image, StateImage) and isinstance(command, Command)
+    assert [(message.stamp, message.episode, message.step) for message in (image, command)] == [(2, 3, 7)] * 2
+    assert command.primitive == "left"

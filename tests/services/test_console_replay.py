@@ -11,6 +11,7 @@ from services.console import requests
 from services.console.core import ConsoleCore
 from services.console.events import PAGE, PageEvent
 from tests.services.console_game import Table, parse, play
+from tests.services.console_human import begin, to_step
 from vantage.service import Arrived, Captured, Write
 
 
@@ -131,3 +132,13 @@ def test_a_replay_is_wound_and_paused_and_plays_no_games(table: Table) -> None:
     table.settle()
     seek, pause, resume = table.of("control")
     assert (seek.action, seek.position, pause.action, resume.action, resume.speed) == ("seek", 3.5, "pause", "resume", 4.0)
+
+
+def test_where_a_replay_begins_nobody_is_at_the_wheel() -> None:
+    table = Table()
+    table.come()
+    begin(table, steps=100)
+    to_step(table, 1)
+    assert table.header("session")["driver"] == 1
+    table.say("replay", [playback(table)])
+    assert table.header("session")["driver"] == 0

@@ -139,3 +139,22 @@ def test_what_the_past_held_is_not_sent_after_a_jump(console: Console) -> None:
         while not keys or keys[-1] != "tick":
             keys.append(parse(opened.receive()[1])[0]["key"])
         assert keys[-2:] == ["playback", "tick"]
+
+
+def test_a_frame_for_one_page_does_not_overtake_a_later_one_for_all(console: Console) -> None:
+    with console.open_page() as opened:
+        client = console.events[0].client
+
+        def show() -> None:
+            console.show("episode", number=1)
+            console.show("episode", client=client, number=2)
+            console.show("episode", number=3)
+            console.show("tick")
+
+        loop = console.server._loop
+        assert loop is not None
+        loop.call_soon_threadsafe(show)  # within one turn of the loop: all of it waits together
+        headers = []
+        while not headers or headers[-1]["key"] != "tick":
+            headers.append(parse(opened.receive()[1])[0])
+        assert [header["number"] for header in headers[:-1]][-1] == 3

@@ -39,6 +39,7 @@ def test_when_the_driver_goes_the_robot_stays_and_the_game_is_paused_until_someb
     table.ask(requests.Resume(), 2)
     to_step(table, at + 2)
     assert table.header("session", 2)["driver"] == 2
+    assert commands(table)[-1].primitive == "stay", "who takes the wheel does not hold the keys of who left it"
     table.ask(requests.Drive(primitive="right", held=True), 2)
     to_step(table, at + 4)
     assert commands(table)[-1].primitive == "right"
@@ -170,3 +171,17 @@ def test_a_core_that_waits_for_a_driver_does_not_spin(table: Table) -> None:
     wake = table.core.wake_at()
     assert wake is not None
     assert wake > table.now
+
+
+def test_every_driver_that_goes_leaves_a_paused_game(table: Table) -> None:
+    begin(table, steps=100)
+    to_step(table, 1)
+    table.go()
+    table.run(lambda: table.of("episode")[-1].paused)
+    table.come(2)
+    table.ask(requests.Resume(), 2)
+    to_step(table, step_of(table) + 2)
+    assert not table.of("episode")[-1].paused
+    table.go(2)
+    table.run(lambda: table.of("episode")[-1].paused)
+    assert [control.action for control in table.of("control")] == ["start", "pause", "resume", "pause"]
