@@ -54,7 +54,7 @@ class Reports:
         if heard is None or heard[0].state == "stopping":
             state, reason = "off", "the recorder is not running"
         elif self.is_silent("recorder", now):
-            state, reason = "off", "the recorder has gone silent"
+            state, reason = "trouble", f"nothing heard of the recorder for {(now - heard[1]) / SECOND:.0f} s"
         elif heard[0].state == "degraded":
             state, reason = "trouble", heard[0].reason
         else:

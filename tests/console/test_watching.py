@@ -51,7 +51,7 @@ def test_the_row_of_predictions_fills_itself_and_the_truth_comes_under_it(page: 
     page.until(
         "document.querySelectorAll('.prediction:not(.blank)').length === vantage.state.frames.prediction.header.steps.length"
     )
-    assert page.page.locator(".percent").first.inner_text().endswith("%")
+    assert page.page.locator(".percent").first.inner_text().endswith("% caught")
     # At the first predicted step the true view takes the place of "in n steps".
     page.until("document.querySelector('.actual span').hidden", timeout=20)
     first = page.get("vantage.state.frames.prediction.header.steps[0]")

@@ -205,12 +205,8 @@ def test_recording_is_on_in_trouble_or_off(table: Table) -> None:
         assert reason in table.header("recording")["reason"]
     table.observer.publish("health/recorder", health("recorder", table.now))
     table.run_for(4.0)
-    assert table.header("recording") | {"lost": 0} == {
-        "key": "recording",
-        "state": "off",
-        "lost": 0,
-        "reason": "the recorder has gone silent",
-    }
+    assert table.header("recording")["state"] == "trouble"
+    assert table.header("recording")["reason"].startswith("nothing heard of the recorder for ")
 
 
 def test_gaps_are_counted(table: Table) -> None:

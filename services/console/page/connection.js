@@ -25,6 +25,7 @@ export class Connection {
     this.onChange = onChange;
     this.delay = FIRST_DELAY;
     this.opened = false; // ever
+    this.isShut = false;
     this.socket = null;
     this.timer = 0;
   }
@@ -56,8 +57,18 @@ export class Connection {
     };
   }
 
+  /** Close for good, for a reason to be shown. */
+  shut(why) {
+    const old = this.socket;
+    this.socket = null;
+    this.isShut = true;
+    old.close();
+    this.onChange(false, why);
+  }
+
   /** Close and come back at once: the server then says everything again. */
   renew() {
+    if (this.isShut) return;
     const old = this.socket;
     this.socket = null;
     if (old) old.close();

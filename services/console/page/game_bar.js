@@ -2,7 +2,7 @@
 
 import { button, labelled, make, number, select, setText } from './element.js';
 import { onChange } from './painting.js';
-import { gameOn, held, header, replaying, seriesOn, welcome } from './state.js';
+import { episode, gameOn, held, header, replaying, seriesOn, welcome } from './state.js';
 
 export const options = (names) => names.map((name) => [name, name]);
 
@@ -12,6 +12,7 @@ export class GameBar {
     this.send = send;
     this.playMode = play;
     this.fields = null;
+    this.known = null; // the game whose seed the field has gone past
     this.form = make('div.choices');
     this.start = make('button.primary', { type: 'submit', title: 'Start these games (G)' }, 'Start');
     this.pause = button('Pause', () => this.hold(), { title: 'Hold the step clock, or let it go on (space)' });
@@ -77,8 +78,17 @@ export class GameBar {
     this.send({ type: 'stop' });
   }
 
+  /** The next game to be watched is another one, whoever started those before. */
+  goPast(game) {
+    const { seed } = this.fields;
+    if (!game || game.episode === this.known || document.activeElement === seed) return;
+    this.known = game.episode;
+    if (game.seed >= Number(seed.value)) seed.value = game.seed + 1;
+  }
+
   paint() {
     this.build();
+    if (this.fields) this.goPast(episode());
     this.root.hidden = replaying();
     this.start.disabled = gameOn() || !this.fields;
     this.pause.disabled = !seriesOn() && !held();

@@ -16,11 +16,23 @@ window.vantage = { painted, state };
 const [main, footer, banner, notices] = ['main', 'footer', 'banner', 'notices'].map((name) => document.getElementById(name));
 const [lost, lostFor] = [make('span'), make('span', { 'aria-hidden': 'true' })]; // the seconds are not read out each second
 banner.append(lost, lostFor);
-const connection = new Connection(receive, (connected, why) => {
+let table = null; // ports change hands: what answers after a lost connection may be another table
+const connection = new Connection(take, (connected, why) => {
   if (state.connected !== connected) state.since = Date.now();
   Object.assign(state, { connected, why });
   touch('connected');
 });
+function take(head, payload) {
+  if (head.key === 'welcome') {
+    table ??= head.table;
+    if (table !== head.table) {
+      connection.shut('another deployment answers at this address now: reload the page to look at it');
+      return;
+    }
+  }
+  receive(head, payload);
+}
+
 const send = (request) => connection.send(request);
 
 let view = null;
@@ -76,7 +88,8 @@ onChange(['connected', 'second', 'welcome'], () => {
   if (banner.hidden) return;
   const seconds = Math.round((Date.now() - state.since) / 1000);
   const hint = !connection.opened && !token() && !welcome() ? ' If the console runs on another machine, open the address with #token= that it printed.' : '';
-  setText(lost, `No connection to the console${state.why ? ` (${state.why})` : ''}; trying again. What you see may be old.${hint}`);
+  const next = connection.isShut ? '' : '; trying again';
+  setText(lost, `No connection to the console${state.why ? ` (${state.why})` : ''}${next}. What you see may be old.${hint}`);
   setText(lostFor, ` ${seconds} s`);
 });
 

@@ -3,7 +3,7 @@
 import { button, labelled, make, number, select } from './element.js';
 import { options } from './game_bar.js';
 import { css } from './scales.js';
-import { episode, welcome } from './state.js';
+import { episode, gameOn, welcome } from './state.js';
 
 const PERSON = 'vantage-person';
 
@@ -50,7 +50,7 @@ export function askCard(begin, leave, taken) {
       labelled('name or pseudonym', name),
       make('label.check', {}, consent, make('span', {}, 'store it with the recording'))),
     make('p.quiet', {}, 'Your moves are recorded as those of a human. Without the tick the recording has no name.'),
-    taken ? make('p.trouble', {}, TAKEN) : null,
+    taken ? make('p.trouble', {}, TAKEN) : gameOn() ? make('p.trouble', {}, 'A game is running: to begin ends it.') : null,
     make('div.buttons', {}, make('button.primary', { type: 'submit', disabled: taken }, 'Begin (Enter)'), button('Back to watching (Esc)', leave)));
 }
 

@@ -42,7 +42,7 @@ export class Predictions {
       const cell = this.cells[i];
       const percent = Math.round(100 * found.caught[i]);
       setText(cell.step, `step ${at}`);
-      setText(cell.percent, `caught ${percent} %`);
+      setText(cell.percent, `${percent} % caught`);
       cell.percent.dataset.level = percent >= 50 ? 'high' : 'low';
       cell.root.setAttribute('aria-label', `Step ${at}: caught with ${percent} percent`);
       paintPredicted(cell.predicted, bytes.subarray(i * size, (i + 1) * size));
