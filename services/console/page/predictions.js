@@ -42,7 +42,7 @@ export class Predictions {
       const cell = this.cells[i];
       const percent = Math.round(100 * found.caught[i]);
       setText(cell.step, `step ${at}`);
-      setText(cell.percent, `${percent} % caught`);
+      setText(cell.chance, `${percent} %`);
       cell.percent.dataset.level = percent >= 50 ? 'high' : 'low';
       cell.root.setAttribute('aria-label', `Step ${at}: caught with ${percent} percent`);
       paintPredicted(cell.predicted, bytes.subarray(i * size, (i + 1) * size));
@@ -71,10 +71,11 @@ export class Predictions {
     this.count = count;
     this.cells = Array.from({ length: count || welcome().horizons }, () => {
       const cell = {
-        step: make('span.step'), percent: make('b.percent'), truth: make('span.quiet'),
+        step: make('span.step'), chance: make('span'), truth: make('span.quiet'),
         predicted: make('canvas.pixels', { role: 'img', 'aria-label': 'predicted seeker view' }),
         actual: make('canvas.pixels', { role: 'img', 'aria-label': 'true seeker view' }),
       };
+      cell.percent = make('b.percent', {}, cell.chance, make('span.word', {}, ' caught'));
       cell.root = make(`div.prediction${count ? '' : '.blank'}`, { role: 'listitem' },
         make('div.caption', { title: 'Probability that the hider is caught by this step' }, cell.step, cell.percent),
         cell.predicted, make('div.actual', {}, cell.actual, cell.truth));
