@@ -47,14 +47,14 @@ export class PlaySession {
   }
 
   begin(options) {
-    if (PlaySession.taken()) return;
+    if (!header('session') || PlaySession.taken()) return; // who drives is not known yet, or somebody does
     this.options = options;
     this.games = [];
     this.next();
   }
 
   next() {
-    if (PlaySession.taken()) return;
+    if (!header('session') || PlaySession.taken()) return;
     if (seriesOn()) this.send({ type: 'stop' }); // somebody watches a game of the planner
     this.trouble = '';
     this.count = COUNT;
