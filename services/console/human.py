@@ -11,7 +11,9 @@ from vantage.world.camera import Camera
 
 HUMAN = "human"
 """`players.hider` of a game that a human drives."""
-HEARD = frozenset({"hider/pose", "hider/depth", "hider/color", "tick"})
+JOINED = ("hider/pose", "hider/depth", "hider/color", "tick")
+"""What a step consists of, in the order of `answer`."""
+HEARD = frozenset(JOINED)
 
 
 class Keys:
@@ -65,7 +67,7 @@ class HumanHider:
     """Joins the hider's messages of a game that a human drives. In other games it keeps nothing."""
 
     def __init__(self) -> None:
-        self._join = StepJoin(("hider/pose", "hider/depth", "hider/color", "tick"))
+        self._join = StepJoin(JOINED)
         self.episode: Episode | None = None
         """The game that the human drives, while it is set up or running."""
 
@@ -96,7 +98,7 @@ class HumanHider:
 
     def forget(self) -> None:
         """Begin anew."""
-        self._join = StepJoin(("hider/pose", "hider/depth", "hider/color", "tick"))
+        self._join = StepJoin(JOINED)
         self.episode = None
 
 

@@ -8,7 +8,8 @@ import json
 import sys
 
 import numpy as np
-import torch
+from torch import library
+from torch.utils.data import DataLoader
 
 
 def import_loader():
@@ -19,7 +20,7 @@ def import_loader():
         for name in [name for name in sys.modules if name.startswith("torchvision")]:
             del sys.modules[name]
         for name in ("nms", "qnms"):
-            torch.library.define(f"torchvision::{name}", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
+            library.define(f"torchvision::{name}", "(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
     from lerobot.datasets.lerobot_dataset import LeRobotDataset
 
     return LeRobotDataset
@@ -64,7 +65,7 @@ def main(root: str, expected_path: str) -> None:
         assert frame["action_is_pad"].tolist() == [False, at_end]
         before = index if at_start else index - 1
         assert np.array_equal(frame["observation.state"][0].numpy(), expected["observation.state"][before])
-    loader = torch.utils.data.DataLoader(queried, batch_size=8)
+    loader = DataLoader(queried, batch_size=8)
     batches = sum(len(batch["index"]) for batch in loader)
     assert batches == len(queried)
     assert set(dataset.meta.stats) == set(dataset.features)
