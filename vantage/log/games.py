@@ -75,6 +75,33 @@ class Game:
         return structs.replace(last, seed=first.seed, rules=first.rules, players=first.players)
 
 
+@dataclass
+class AboutGame:
+    """What is known of one game, with the referee's words on it."""
+
+    game: Game
+
+    @property
+    def number(self) -> int:
+        """The episode's number."""
+        return self.game.number
+
+    @property
+    def start(self) -> int:
+        """Log time of the referee's first word, ns."""
+        return self.game.start
+
+    @property
+    def episode(self) -> Episode:
+        """The last word of the referee."""
+        return self.game.episode
+
+    @property
+    def discarded(self) -> bool:
+        """Whether somebody said later (`control`) that the game is not to be used as data."""
+        return self.game.discarded
+
+
 class Games:
     """Hears the words of a log one after the other.
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from schemas import ROBOTS, Control, Episode, Gap, Layout, MalformedMessage, Message, Plan, Robot, Tick
 from vantage.log.episodes import EPISODE_TOPICS
-from vantage.log.games import Game, Games, Word
+from vantage.log.games import AboutGame, Game, Games, Word
 from vantage.log.reader import Log
 from vantage.log.target import Progress, in_silence
 
@@ -19,7 +19,7 @@ _PARTS = ("pose", "depth", "color")
 
 
 @dataclass
-class GameOutline:
+class GameOutline(AboutGame):
     """What a log has of one game.
 
     Attributes:
@@ -32,7 +32,6 @@ class GameOutline:
         lost, malformed: messages of the game that are missing, or did not decode.
     """
 
-    game: Game
     first_time: int
     last_time: int
     since: int = -1
@@ -41,26 +40,6 @@ class GameOutline:
     layout: Layout | None = None
     lost: int = 0
     malformed: int = 0
-
-    @property
-    def number(self) -> int:
-        """The episode's number."""
-        return self.game.number
-
-    @property
-    def start(self) -> int:
-        """Log time of the referee's first word, ns."""
-        return self.game.start
-
-    @property
-    def episode(self) -> Episode:
-        """The last word of the referee."""
-        return self.game.episode
-
-    @property
-    def discarded(self) -> bool:
-        """Whether somebody said later (`control`) that the game is not to be used as data."""
-        return self.game.discarded
 
     @property
     def steps(self) -> int:

@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from schemas import Control, Episode, Gap, MalformedMessage, Pose
-from vantage.log.games import Game, Games, Word
+from vantage.log.games import AboutGame, Games, Word
 from vantage.log.reader import Record, find_logs, open_log
 
 
@@ -54,21 +54,10 @@ class TopicReport:
 
 
 @dataclass
-class GameReport:
+class GameReport(AboutGame):
     """One game: what the referee said of it, and the steps seen."""
 
-    game: Game
     steps: int = 0
-
-    @property
-    def episode(self) -> Episode:
-        """The referee's last word."""
-        return self.game.episode
-
-    @property
-    def discarded(self) -> bool:
-        """Whether it was discarded afterwards."""
-        return self.game.discarded
 
     @property
     def driver(self) -> str:
