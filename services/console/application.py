@@ -90,7 +90,7 @@ class Application:
     """
 
     def __init__(self, guard: Guard, tell: Callable[[PageEvent], None], count: Count, folder: Path = FOLDER) -> None:
-        self._guard, self._tell, self._count, self._folder = guard, tell, count, folder
+        self._guard, self._tell, self._count, self._files = guard, tell, count, files(folder)
         self._numbers = itertools.count(1)
         self.pages: dict[int, Page] = {}
         self.asgi: ASGIApp = _Door(
@@ -105,7 +105,7 @@ class Application:
         )
 
     async def _file(self, request: Request) -> Response:
-        path = files(self._folder).get(request.url.path)
+        path = self._files.get(request.url.path)
         if path is None:
             self._count("no such file")
             return Response("There is no such file.\n", 404, media_type="text/plain")
