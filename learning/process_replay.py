@@ -177,6 +177,7 @@ class ProcessReplay:
         self._answers: list[tuple[Message, Message]] = []
         self._requests: list[PredictRequest] = []
         self._outputs = [key for key in core.declaration.outputs if not key.startswith("health/")]
+        self._heeded = self._inputs | set(self._outputs) | {"predictor/request", "predictor/reply"}
         self._comparisons = {key: Comparison(key) for key in self._outputs}
         self._said: Counter[str] = Counter()
         self._recorded: Counter[str] = Counter()
@@ -187,6 +188,8 @@ class ProcessReplay:
 
     def feed(self, record: Record) -> None:
         """Take one record of the log, in the order in which they were published."""
+        if record.key not in self._heeded:
+            return  # pictures of the other robot are not decoded for nothing
         try:
             message = record.decode()
         except MalformedMessage:
