@@ -20,6 +20,7 @@ from dataclasses import replace
 from typing import Any, cast
 
 from schemas import ROBOTS, Command, Control, Health, Layout, Pose, Robot, Tick
+from services.referee import reasons
 from services.referee.blame import Troubles
 from services.referee.declaration import DECLARATION
 from services.referee.drivers import HUMAN, HiderDrivers
@@ -30,8 +31,6 @@ from vantage.service import SECOND, Arrived, Changed, Publish, Received, Send, U
 from vantage.world.arena import CATCH_TOLERANCE
 
 __all__ = ["RefereeCore", "RefereeSettings"]
-
-_RESTARTED = "the referee was restarted; the setup of this game has its seed and rules"
 
 
 class RefereeCore:
@@ -126,7 +125,7 @@ class RefereeCore:
         sends: list[Send] = []
         if self._left_behind > self._number:
             self._number = self._left_behind
-            sends.append(self._episode("aborted", now, reason=_RESTARTED))
+            sends.append(self._episode("aborted", now, reason=reasons.RESTARTED))
         sends.extend(self._begin_if_possible(now))
         return sends
 
@@ -154,7 +153,7 @@ class RefereeCore:
         self._driver_until = None
         sends: list[Send] = []
         if self._in_game:
-            sends.extend(self._abort("stopped on request" if control.action == "stop" else "another game was asked for", now))
+            sends.extend(self._abort(reasons.STOPPED if control.action == "stop" else reasons.REPLACED, now))
         if control.action == "stop":
             self._series.stop()
         else:
@@ -189,7 +188,7 @@ class RefereeCore:
 
     def _discard(self, number: int, now: int) -> Sequence[Send]:
         if self._in_game and number == self._number:
-            return self._abort("discarded by the player", now)
+            return self._abort(reasons.DISCARDED, now)
         if not 1 <= number <= self._number and self._phase is not Phase.LISTENING:
             raise Unexpected(f"discard: there was no episode {number}")
         return ()

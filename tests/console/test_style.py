@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
 import pytest
+
+from vantage.perception.palette import DANGER
 
 PAGE = Path(__file__).parents[2] / "services" / "console" / "page"
 TEXT_ON = [
@@ -45,6 +48,11 @@ def test_text_can_be_read(theme: str) -> None:
 def test_what_is_drawn_can_be_told_from_the_floor(theme: str) -> None:
     colors = themes()[theme]
     assert {pair for pair in PARTS_ON if contrast(colors[pair[0]], colors[pair[1]]) < (2.0 if pair[0] == "box" else 3.0)} == set()
+
+
+def test_danger_has_the_colours_that_value_maps_have_everywhere() -> None:
+    table = re.search(r"const DANGER = (\[.*\]);", (PAGE / "scales.js").read_text())
+    assert table and json.loads(table[1]) == DANGER.tolist()
 
 
 def test_the_page_is_self_contained() -> None:

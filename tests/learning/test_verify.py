@@ -113,8 +113,16 @@ def test_a_value_map_wants_every_goal_and_a_choice_that_is_not_blocked(log: Path
 
 def test_a_game_that_did_not_end_is_no_good(log: Path) -> None:
     (game,) = episodes(read(log))
-    game.episode = replace(game.episode, phase="aborted")
+    game.episode = replace(game.episode, phase="aborted", reason="no command from the hider for step 3")
     assert wrong(game) == ["3 ended"]
+
+
+@pytest.mark.parametrize("reason", ["stopped on request", "another game was asked for", "discarded by the player"])
+def test_a_game_that_somebody_stopped_is_neither_good_nor_bad(log: Path, reason: str) -> None:
+    (game,) = episodes(read(log))
+    game.episode = replace(game.episode, phase="aborted", reason=reason)
+    (finding,) = check_game(game)
+    assert (finding.good, finding.detail) == (None, f"aborted: {reason}")
 
 
 @pytest.mark.parametrize("views", [True, False])

@@ -35,7 +35,7 @@ from vantage.log import LogWriter, RunMetadata, read
 from vantage.log.export import export
 from vantage.log.reader import NoSuchLog
 from vantage.log.viewer import Viewer, value_picture
-from vantage.perception.palette import PALETTE
+from vantage.perception.palette import DANGER, PALETTE
 
 STAMP = 1_700_000_000_123_456_789
 
@@ -165,11 +165,11 @@ def test_the_value_map_is_a_grid_and_a_picture(tmp_path: Path) -> None:
     assert grid.pose.position.x == pytest.approx(0.05)
     image = picture(found["hider/plan/picture"][0])
     assert image.shape == (220, 220, 3)
-    assert np.array_equal(image, value_picture(values, 13))
+    assert np.array_equal(image, value_picture(values, 13, arena_appearance()))
     assert tuple(image[110, 110]) == (128, 128, 128)  # goal 60, the middle, is blocked
-    assert image[219 - 10, 10, 1] > image[219 - 10, 10, 0]  # goal 0, near left, is the safest: green
-    assert image[10, 219 - 10, 0] > image[10, 219 - 10, 1]  # goal 120, far right: red
-    assert tuple(image[219 - 21, 2 * 20 + 1]) == (255, 255, 255)  # the chosen goal's frame: row 1, column 2
+    assert tuple(image[219 - 10, 10]) == tuple(DANGER[0])  # goal 0, near left, is the safest
+    assert tuple(image[10, 219 - 10]) == tuple(DANGER[-1])  # goal 120, far right, is the most dangerous
+    assert tuple(image[219 - 21, 2 * 20 + 1]) == (0, 0, 0)  # the chosen goal's frame: row 1, column 2
     line = found["hider/plan/path"][0].entities[0].lines[0]
     assert [(point.x, point.y) for point in line.points] == [tuple(map(float, row[:2])) for row in path]
 

@@ -83,10 +83,12 @@ def barrage(table: Table, randoms: int, shapes: int, questions: int, patience: f
     with ZenohBus("command-line", table.folder) as bus:
         match = Match(bus, wish(seed=3, games=1000, steps=200, period=0.05))
         follow(match, lambda: match.step >= 5, 30.0, "a game runs")
-    before = counted(table)
-    started = time.monotonic()
-    sent = {}
+    expected = [(name, key) for name in table.services() for key in (*KEYS, UNDECLARED) if hears_all(name, key)]
     with stranger(table) as session:
+        wait_until_heard(table, session)
+        before = counted(table)
+        started = time.monotonic()
+        sent = {}
         for key in KEYS:
             kind = TOPICS[key].type
             sent[key] = say(session, key, (random_bytes(source) for _ in range(randoms)))
@@ -95,7 +97,7 @@ def barrage(table: Table, randoms: int, shapes: int, questions: int, patience: f
         for key, call in CALLS.items():
             sent[key] = ask(session, (random_bytes(source) for _ in range(questions)))
             sent[key] += ask(session, (shaped(call.request, source) for _ in range(questions)))
-    expected = [(name, key) for name in table.services() for key in heard_by(name) if key in sent and hears_all(name, key)]
+    expected += [(name, key) for name in table.services() for key in declaration_of(name).serves]
     deadline = time.monotonic() + patience
     while missing := uncounted(before, counted(table), sent, expected):
         assert time.monotonic() < deadline, f"not counted in health: {missing}"
@@ -103,14 +105,39 @@ def barrage(table: Table, randoms: int, shapes: int, questions: int, patience: f
     return time.monotonic() - started
 
 
+def wait_until_heard(table: Table, session: zenoh.Session) -> None:
+    """Say nonsense until every service has heard some: the links of a new session come up one after another."""
+    declarations = {name: declaration_of(name) for name in table.services()}
+    pairs = [
+        (name, UNDECLARED if declaration.raw else declaration.inputs[0])
+        for name, declaration in declarations.items()
+        if declaration.inputs
+    ]
+    with HealthWatch(table.deployment) as watch:
+        table.wait_until_reported(watch)
+        before = nonsense(watch)
+        deadline = time.monotonic() + 30
+        while deaf := [pair for pair in pairs if nonsense(watch).get(pair, 0) <= before.get(pair, 0)]:
+            assert time.monotonic() < deadline, f"do not hear the stranger: {deaf}"
+            for key in {key for _, key in deaf}:
+                session.put(f"vantage/table/{key}", b"nonsense", congestion_control=zenoh.CongestionControl.BLOCK)
+            watch.listen(0.2)
+
+
+def nonsense(watch: HealthWatch) -> Counts:
+    """(service, key) -> messages of which a service that decodes says that they are malformed; a raw one hears UNDECLARED."""
+    return {
+        (verdict.process.name, entry.key): entry.received + entry.malformed if entry.key == UNDECLARED else entry.malformed
+        for verdict in watch.verdicts()
+        if verdict.health
+        for entry in verdict.health.inputs
+    }
+
+
 def hears_all(service: str, key: str) -> bool:
     """Whether a service gets every message of a key: of some topics a slow reader skips."""
-    return declaration_of(service).raw or key not in TOPICS or TOPICS[key].delivery == "lossless"
-
-
-def heard_by(service: str) -> tuple[str, ...]:
     declaration = declaration_of(service)
-    return (*KEYS, UNDECLARED) if declaration.raw else declaration.inputs + declaration.serves
+    return declaration.raw or (key in declaration.inputs and TOPICS[key].delivery == "lossless")
 
 
 def uncounted(before: Counts, after: Counts, sent: Mapping[str, int], expected: list[tuple[str, str]]) -> dict[str, int]:

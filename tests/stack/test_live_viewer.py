@@ -11,7 +11,9 @@ import time
 
 import pytest
 
-from tests.stack.table import VANTAGE, Table
+from tests.stack.table import VANTAGE, Table, follow, stop_games, wish
+from vantage.bus.zenoh_bus import ZenohBus
+from vantage.play import Match
 from vantage.watch import HealthWatch
 
 client = pytest.importorskip("websockets.sync.client")
@@ -26,15 +28,12 @@ def test_a_game_is_seen_live(table: Table) -> None:
         assert process.stdout is not None
         found = re.search(r"ws://127\.0\.0\.1:(\d+)", process.stdout.readline())
         assert found
-        play = subprocess.Popen(
-            [VANTAGE, "play", "--seed", "7", "--steps", "8", "--folder", table.folder],
-            stdout=subprocess.PIPE,
-            text=True,
-            cwd=table.home,
-        )
+        # Games without end: the viewer's links to the services come up one after another.
+        with ZenohBus("command-line", table.folder) as bus:
+            match = Match(bus, wish(seed=7, games=1000, steps=50, period=0.1))
+            follow(match, lambda: match.step >= 2, 30.0, "a game runs")
         counts = watched(int(found[1]))
-        play.communicate(timeout=60)
-        assert play.returncode == 0
+        stop_games(table.folder)
         for robot in ("hider", "seeker"):
             assert counts[f"viewer/{robot}/pose"] >= 1
             assert counts[f"viewer/{robot}/color"] >= 1

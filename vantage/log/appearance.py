@@ -30,18 +30,22 @@ class Appearance:
     Attributes:
         palette: uint8 [n, 3], red green blue of the state image's indices.
         palette_names: what each index means, n words.
+        danger: colours of a value map from safe to dangerous, in equal distances; uint8 [m, 3].
         robot_radius, robot_height: m.
         robot_colors: robot -> its colour.
         arena_size: m; of its longer side.
+        blocked_color: of the goals of a value map that no path leads to.
         floor_color, box_color: of the floor and of the obstacles on it.
     """
 
     palette: Picture
     palette_names: tuple[str, ...]
+    danger: Picture
     robot_radius: float
     robot_height: float
     robot_colors: dict[Robot, Color]
     arena_size: float
+    blocked_color: Color = (128, 128, 128)
     floor_color: Color = (225, 225, 225)
     box_color: Color = (90, 90, 100)
 
@@ -51,25 +55,24 @@ def row_repeats(height: int) -> int:
     return -(-_LOWEST_PICTURE // height) if height < _LOWEST_PICTURE else 1
 
 
-def value_picture(values: tuple[float | None, ...], goal: int | None) -> Picture:
+def value_picture(values: tuple[float | None, ...], goal: int | None, looks: Appearance) -> Picture:
     """Return the value map as a picture, uint8 [220, 220, 3].
 
-    The far side is at the top; green is safe, red is not, grey is blocked, the chosen goal has a white frame.
+    The far side is at the top; the safest goal has the first colour of `looks.danger`, the most dangerous one the last, the
+    chosen goal a black frame.
     """
     grid = np.array([np.nan if value is None else value for value in values]).reshape(GOALS_A_SIDE, GOALS_A_SIDE)
     open_goals = ~np.isnan(grid)
     low, high = (float(grid[open_goals].min()), float(grid[open_goals].max())) if open_goals.any() else (0.0, 1.0)
     danger = np.nan_to_num((grid - low) / max(high - low, 1e-9))
-    picture = np.empty((GOALS_A_SIDE, GOALS_A_SIDE, 3), np.uint8)
-    picture[..., 0] = 30 + 200 * danger
-    picture[..., 1] = 30 + 170 * (1 - danger)
-    picture[..., 2] = 60
-    picture[~open_goals] = 128
+    places = np.linspace(0.0, 1.0, len(looks.danger))
+    picture = np.stack([np.interp(danger, places, part) for part in looks.danger.T], axis=-1).round().astype(np.uint8)
+    picture[~open_goals] = looks.blocked_color
     large = np.kron(picture, np.ones((_CELL_PIXELS, _CELL_PIXELS, 1), np.uint8))
     if goal is not None:
         row, column = divmod(goal, GOALS_A_SIDE)
         cell = large[row * _CELL_PIXELS : (row + 1) * _CELL_PIXELS, column * _CELL_PIXELS : (column + 1) * _CELL_PIXELS]
         inside = cell[3:-3, 3:-3].copy()
-        cell[:] = 255
+        cell[:] = 0
         cell[3:-3, 3:-3] = inside
     return cast(Picture, np.ascontiguousarray(large[::-1]))

@@ -42,7 +42,7 @@ def layout_of(topics: Collection[str], looks: Appearance) -> dict[str, Any]:
     insight = [
         _add_image(panels, topic, title)
         for topic, title in (
-            ("hider/plan/picture", "value map: green is safe, the white frame is the goal"),
+            ("hider/plan/picture", "value map: blue is safe, red is dangerous, the black frame is the goal"),
             ("predictor/views", "seeker views that the hider predicts"),
         )
         if topic in there

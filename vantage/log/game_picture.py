@@ -80,7 +80,7 @@ class GamePicture:
         left = _RIGHT + 2 * (_MAP + 10)
         self._label(pen, left, 338, "value map, goal framed")
         values = self._plan.values if self._plan else ()
-        shown = value_picture(values, self._plan.goal) if self._plan and len(values) == GOAL_COUNT else None
+        shown = value_picture(values, self._plan.goal, self._looks) if self._plan and len(values) == GOAL_COUNT else None
         self._place(picture, pen, (left, 356), (_MAP, _MAP), shown, "no values")
         self._legend(pen)
         picture.paste(self._arena(step, messages), _ARENA[:2])
@@ -107,9 +107,9 @@ class GamePicture:
             self._label(pen, _RIGHT + 24, y, f"state image: {name}")
             y += 22
         meanings = (
-            ((30, 200, 60), "value map: safe"),
-            ((230, 30, 60), "value map: dangerous"),
-            ((128, 128, 128), "value map: blocked"),
+            (tuple(self._looks.danger[0].tolist()), "value map: safe"),
+            (tuple(self._looks.danger[-1].tolist()), "value map: dangerous"),
+            (self._looks.blocked_color, "value map: blocked"),
             (self._looks.robot_colors["hider"], "hider, its path and its plan (thin)"),
             (self._looks.robot_colors["seeker"], "seeker and its path"),
         )

@@ -180,7 +180,7 @@ class Shown:
     def _plan(self, plan: Plan) -> None:
         rerun = self._rerun
         if len(plan.values) == GOAL_COUNT:
-            self._log("value-map", rerun.Image(value_picture(plan.values, plan.goal)))
+            self._log("value-map", rerun.Image(value_picture(plan.values, plan.goal, self._looks)))
         path = np.frombuffer(plan.path, np.float32).reshape(-1, 3)
         path = path[np.isfinite(path).all(axis=1)]
         if len(path):
