@@ -215,9 +215,8 @@ class Viewer:
                 data=values.tobytes(),
             )
             shown.append((f"{key}/values", grid))
-            shown.append(
-                (f"{key}/picture", image_of(message, ARENA_FRAME, value_picture(message.values, message.goal, self.appearance)))
-            )
+            picture = value_picture(message.values, message.goal, self.appearance)
+            shown.append((f"{key}/picture", image_of(message, ARENA_FRAME, picture)))
         path = np.frombuffer(message.path, np.float32).reshape(-1, 3)
         line = fox.LinePrimitive(
             type=fox.LinePrimitiveLineType.LineStrip,

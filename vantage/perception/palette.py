@@ -1,4 +1,4 @@
-"""The colours of the state image, the one table of palette indices (paper, State Representation; reading, row 7), and of danger."""
+"""The colours of the state image, one table of palette indices (paper, State Representation; reading, row 7), and of danger."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ PALETTE_NAMES = ("invisible", "free", "boundary", "own", "other")
 DANGER: NDArray[np.uint8] = np.array(  # [7, 3]
     [(69, 117, 180), (145, 191, 219), (224, 243, 248), (255, 255, 191), (254, 224, 144), (252, 141, 89), (215, 48, 39)], np.uint8
 )
-"""Colours of a value map from safe to dangerous: Brewer's RdYlBu in seven classes, as in the figures and on the console's page."""
+"""Colours of a value map from safe to dangerous: Brewer's RdYlBu in seven classes, as on the console's page and in figures."""
 DANGER.setflags(write=False)
 
 
