@@ -9,8 +9,17 @@ import pytest
 from rich.console import Console
 
 from schemas import Episode, Players
+from tests.golden.make_log import GOLDEN
 from tests.log.making import records_of, write_log
 from vantage.log.report import info
+
+
+def test_a_terminal_of_80_columns_shows_every_word() -> None:
+    (report,) = info(GOLDEN / "log_v3.mcap")
+    printed = StringIO()
+    Console(file=printed, width=80).print(report)
+    assert "…" not in printed.getvalue()
+    assert "malformed" in printed.getvalue()
 
 
 @pytest.mark.parametrize("name", ["[/red]", "[bold]Ada", "Ada\x1b[2J\x07", "\u202eadA"])

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from pathlib import Path
 
+from rich.box import SIMPLE
 from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
@@ -158,7 +159,7 @@ class LogReport:
         return table
 
     def _topic_table(self) -> Table:
-        table = Table()
+        table = Table(box=SIMPLE, padding=(0, 1, 0, 0))  # fits a terminal of 80 columns
         table.add_column("topic", no_wrap=True)
         table.add_column("publisher", no_wrap=True)
         for name in ("messages", "per s", "kB", "missing", "malformed"):
@@ -169,7 +170,7 @@ class LogReport:
         return table
 
     def _game_table(self) -> Table:
-        table = Table()
+        table = Table(box=SIMPLE, padding=(0, 1, 0, 0))
         for name in ("game", "seed", "hider", "seeker", "layout", "steps", "phase", "outcome", "reason"):
             table.add_column(name)
         for game in self.games:
