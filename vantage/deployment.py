@@ -223,6 +223,8 @@ class Deployment:
                 raise DeploymentError(
                     f"supervisord (process {pid}) did not stop within 20 s; see {self.folder / 'supervisord.log'}"
                 )
+            # supervisord looks for the next process to stop once a second, and whenever it is asked something.
+            self.is_running()
             time.sleep(0.02)
         return True
 

@@ -331,6 +331,19 @@ def reproduce(preset: Preset, folder: Path) -> tuple[Runner, list[str]]:
     return runner, ran
 
 
+def begun_first(preset: Preset, folder: Path) -> str:
+    """Return the stage that a changed preset runs again first; it is not waited for."""
+    begun: list[str] = []
+
+    def launch(arguments: tuple[str, ...], output: IO[bytes], environment: dict[str, str]) -> Done:
+        begun.append(environment["VANTAGE_STAGE"])
+        return Done(1)
+
+    assert not Runner(stages_of("smoke", preset, Machine(2, False)), folder, 1, (), lambda progress, event: None, launch).run()
+    (first,) = begun
+    return first
+
+
 @pytest.mark.timeout(1200)
 def test_from_nothing_to_the_page(tiny: Preset, tmp_path: Path) -> None:
     folder = tmp_path / "reproduction"
@@ -354,13 +367,12 @@ def test_from_nothing_to_the_page(tiny: Preset, tmp_path: Path) -> None:
             assert seen["sha256"][:12] in page
 
     assert reproduce(tiny, folder)[1] == [], "a second run has nothing to do"
-    again = reproduce(replace(tiny, map_horizons=(40,)), folder)[1]
-    assert again == ["evaluate maps", "figures", "page"]
-
     publish(folder, tmp_path)
     published = (tmp_path / "docs/results.md").read_text()
     for name in figures:
         assert f"](figures/{name})" in published and (tmp_path / "docs/figures" / name).is_file()
+
+    assert begun_first(replace(tiny, map_horizons=(40,)), folder) == "evaluate maps", "what comes before it is still good"
 
 
 def test_targets_are_said_to_be_met_only_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
