@@ -134,7 +134,7 @@ class ConsoleCore:
     def _frame_of(self, key: str) -> bytes:
         message = self._latest[key]
         if isinstance(message, Plan):
-            return frame_of(key, message, predictable=self._predictions.predictable)
+            return frame_of(key, message, unpredictable=self._predictions.unpredictable)
         return frame_of(key, message)
 
     def _on_episode(self, episode: Episode, now: int) -> None:

@@ -54,20 +54,28 @@ class Predictions:
         self._wanted: dict[int, int] = {}  # client -> goal, in order of asking
 
     @property
-    def predictable(self) -> bool:
-        """Whether a goal of the present plan can be asked for."""
-        return self._plan is not None and self._request is not None and _belong(self._plan, self._request)
+    def unpredictable(self) -> str:
+        """Why no goal of the present plan can be asked for, for people; empty when one can."""
+        if self._plan is None:
+            return "there is no plan yet"
+        if not self._plan.values:
+            return "this hider judges no goals: there is nothing to predict along"
+        if self._request is None or not _belong(self._plan, self._request):
+            # The planner asks once a game, and the bus keeps no question for who comes later. Only that question has the
+            # state image and the paths of the step in which it looked.
+            return "the console was started after this game was planned: goals can be clicked from the next game on"
+        return ""
 
     def see_plan(self, plan: Plan) -> None:
         self._plan = plan
 
     def see_request(self, request: PredictRequest) -> bool:
-        """Take in a question that somebody asked; return whether it makes the goals of the present plan predictable."""
+        """Take in a question that somebody asked; return whether that changes what can be asked of the present plan."""
         if request.views:
             return False  # a console's: the planner asks for no views
-        before = self.predictable
+        before = self.unpredictable
         self._request = request
-        return self.predictable != before
+        return self.unpredictable != before
 
     def begin(self, episode: int) -> None:
         """Another game is set up: the last one's plan can be asked about no more."""
@@ -116,14 +124,11 @@ class Predictions:
         return sends
 
     def _request_for(self, goal: int) -> tuple[PredictRequest | None, str]:
-        if self._plan is None:
-            return None, "there is no plan yet"
-        if not self._plan.values:
-            return None, "the plan has no value map: its hider judges no goals"
+        if self.unpredictable:
+            return None, self.unpredictable
+        assert self._plan is not None and self._request is not None
         if self._plan.values[goal] is None:
             return None, "the goal is blocked: no path leads there"
-        if self._request is None or not _belong(self._plan, self._request):
-            return None, "the planner's question was not heard (the console was started later): the next game's can be asked for"
         paths = _paths(self._request)
         row = sum(value is not None for value in self._plan.values[:goal])
         horizons = chosen_horizons(self._request.horizons)

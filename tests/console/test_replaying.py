@@ -79,7 +79,7 @@ def test_a_replay_is_watched_like_a_game(log: Path, browser: Browser) -> None:
         start = records[0].log_time
         middle = [record.log_time for record in records if record.key == "tick"][STEPS // 2]
         slider.fill(f"{(middle - start) / 1e9:.2f}")
-        page.until("vantage.state.frames['hider/plan']?.header.predictable")
+        page.until("vantage.state.frames['hider/plan']?.header.unpredictable === ''")
         assert page.get("vantage.state.frames.episode.header.players.hider") == "planner"
         page.until("vantage.state.frames.prediction?.header.steps.length > 0")
         jumps = page.get("vantage.state.frames.playback.header.jumps")

@@ -18,7 +18,7 @@ RUNNING = "vantage.state.frames.episode?.header.phase === 'running'"
 
 def watch_a_game(page: ConsolePage) -> None:
     page.press("g")
-    page.until(f"{RUNNING} && vantage.state.frames['hider/plan']?.header.predictable")
+    page.until(f"{RUNNING} && vantage.state.frames['hider/plan']?.header.unpredictable === ''")
     game = "vantage.state.frames.episode.header.episode"
     page.until(f"vantage.state.frames['hider/plan'].header.episode === {game}")
 
@@ -236,6 +236,9 @@ def test_when_the_console_is_restarted_the_page_says_so_and_comes_back(page: Con
     assert "No connection to the console" in page.text("#banner")
     page.until(f"vantage.state.connected && vantage.state.frames.episode?.header.episode === {before}", timeout=20)
     page.until("document.getElementById('banner').hidden")
+    page.until("document.querySelector('.predictions .facts').textContent.endsWith('goals can be clicked from the next game on.')")
+    page.page.locator(".stage").click()
+    assert page.text(".arena > .facts") == page.text(".predictions .facts"), "a click on a goal is told the same"
     wait_until(lambda: table.pid_of("console") not in (0, pid), 10, "another console")
     page.offline = False
 

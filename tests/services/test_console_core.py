@@ -68,7 +68,7 @@ def test_the_plan_is_shown_with_its_path_and_that_goals_can_be_asked_for(table: 
     play(table)
     plan = table.of("hider/plan")[-1]
     header, payload = table.frames("hider/plan")[-1]
-    assert header["predictable"] is True
+    assert header["unpredictable"] == ""
     assert header["values"] == list(plan.values)
     assert (header["goal"], header["horizon"], header["checkpoint_interval"]) == (plan.goal, plan.horizon, 10)
     assert payload == plan.path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from schemas import (
     GOAL_COUNT,
@@ -108,10 +109,20 @@ def test_a_console_that_missed_the_planners_question_says_so(table: Table) -> No
     table.restart_console()
     table.come()
     table.settle()
-    assert table.header("hider/plan")["predictable"] is False
+    reason = table.header("hider/plan")["unpredictable"]
+    assert "started after this game was planned" in reason
     table.ask(requests.Predict(goal=goal))
     table.settle()
-    assert "was not heard" in table.header("prediction")["error"]
+    assert table.header("prediction")["error"] == reason
+    play(table, steps=20)
+    assert table.header("hider/plan")["unpredictable"] == ""
+
+
+def test_a_hider_that_judges_no_goals_is_not_taken_for_one_whose_question_was_missed(table: Table) -> None:
+    play(table, steps=20)
+    plan = table.of("hider/plan")[-1]
+    table.say("planner", [("hider/plan", replace(plan, values=(), goal=None))])
+    assert "judges no goals" in table.header("hider/plan")["unpredictable"]
 
 
 # Past views

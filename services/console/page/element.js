@@ -24,6 +24,11 @@ export function setText(element, text) {
   if (element.textContent !== text) element.textContent = text;
 }
 
+/** A reason of the console's, as a sentence by itself. */
+export function sentence(reason) {
+  return `${reason[0].toUpperCase()}${reason.slice(1)}.`;
+}
+
 /** A titled panel with a one-line explanation, and room for tools at the right of its title. */
 export function panel(name, title, explanation, ...children) {
   const tools = make('div.tools');

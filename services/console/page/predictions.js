@@ -1,6 +1,6 @@
 // What the seeker would see along the plan to a goal, predicted, and under it what it really saw.
 
-import { make, panel, setText } from './element.js';
+import { make, panel, sentence, setText } from './element.js';
 import { onChange } from './painting.js';
 import { blank, paintPredicted, paintView } from './pictures.js';
 import { episode, gameOn, ofThisGame, payload, state, step, welcome } from './state.js';
@@ -59,8 +59,7 @@ export class Predictions {
       const own = thePlan?.goal === found.goal;
       text = `To ${nameOf(found.goal)}, ${own ? 'the hider’s goal' : 'your goal'}: ${worthOf(found.goal)}; predicted in `
         + `${(found.elapsed * 1000).toFixed(0)} ms.${own ? '' : ' True: on the way really driven.'}`;
-    } else if (thePlan?.predictable) text = 'Click a coloured square in the arena.';
-    else if (thePlan) text = 'This plan was not heard from its beginning: goals can be clicked from the next game on.';
+    } else if (thePlan) text = thePlan.unpredictable ? sentence(thePlan.unpredictable) : 'Click a coloured square in the arena.';
     else if (gameOn() && episode().players.hider === 'human') text = 'A person drives the hider: there is no plan to predict along.';
     else text = 'Waits for the plan of a game; then click a coloured square in the arena.';
     setText(this.title, text);

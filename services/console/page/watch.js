@@ -1,7 +1,7 @@
 // Watching: everything there is to see, and the first words to a visitor.
 
 import { Arena } from './arena.js';
-import { button, make } from './element.js';
+import { button, make, sentence } from './element.js';
 import { GameBar } from './game_bar.js';
 import { Health } from './health.js';
 import { onChange, touch } from './painting.js';
@@ -61,8 +61,8 @@ export class Watch {
   choose(goal) {
     const plan = ofThisGame('hider/plan');
     if (!plan) this.arena.say('There is no plan yet to predict along: wait for the first step of a game.');
+    else if (plan.unpredictable) this.arena.say(sentence(plan.unpredictable));
     else if (plan.values[goal] === null) this.arena.say(`Goal ${goal}: ${worthOf(goal)}; no way leads there.`);
-    else if (!plan.predictable) this.arena.say('The plan of this game was not heard from its beginning: goals can be clicked in the next game.');
     else if (this.send({ type: 'predict', goal })) {
       state.goal = state.asked = goal;
       clearTimeout(this.timer);
@@ -78,7 +78,7 @@ export class Watch {
   /** The first prediction of a game is the one of the hider's own goal, so that the row explains itself. */
   ownGoal() {
     const plan = ofThisGame('hider/plan');
-    if (!plan?.predictable || plan.goal === null || state.auto === plan.episode || state.goal !== null) return;
+    if (!plan || plan.unpredictable || plan.goal === null || state.auto === plan.episode || state.goal !== null) return;
     state.auto = plan.episode;
     this.choose(plan.goal);
   }
