@@ -103,6 +103,8 @@ class ConsoleCore:
     def _on_message(self, key: str, message: Message, now: int) -> list[Send]:
         if isinstance(message, Health):
             self._reports.add(message, now)
+            if message.service == "referee" and self._session.hear_referee(message.process):
+                self._stale.add("session")
             return []
         if isinstance(message, Gap):
             self._reports.miss(message)

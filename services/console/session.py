@@ -24,6 +24,8 @@ class Session:
         self._played = 0
         self._on = 0  # number of the game that is set up or running
         self._over = 0  # number of the last game that is not to be counted again
+        self._set_up_at = 0  # stamp of the last set-up, ns
+        self._referee: int | None = None  # its process
         self._waits = False  # the referee says of a game that is over that another one waits for `resume`
         self._last: dict[str, Any] | None = None
 
@@ -63,9 +65,19 @@ class Session:
             if episode.episode != self._over:
                 self._over = episode.episode
                 self._played += 1
+            if episode.phase == "aborted" and episode.stamp == self._set_up_at:
+                self._asked = False  # set up only to be given up, for want of a driver: the next ones are not tried
             self._last = {"episode": episode.episode, "discarded": discarded}
         elif episode.phase == "setup":
-            self._over = 0
+            self._over, self._set_up_at = 0, episode.stamp
+
+    def hear_referee(self, process: int) -> bool:
+        """Take in which process the referee is; return whether it was restarted: it knows of no games asked for, of no pause."""
+        restarted = self._referee not in (None, process)
+        if restarted:
+            self._asked = self._waits = self.hold = self.pausing = False
+        self._referee = process
+        return restarted
 
     def frame(self, driver: int) -> bytes:
         """Return the frame `session`; `driver`: client number of the page at the wheel, 0: nobody."""

@@ -54,8 +54,9 @@ class Table:
     def __init__(self, others: dict[str, Core] | None = None, start: int = 1_700_000_000_000_000_000) -> None:
         self.network = InProcessNetwork(clock=VirtualClock(start), checked=True)
         others = others or {}
+        self._referee = RefereeSettings(required=("simulator", "seeker", *others))
         cores: dict[str, Core] = {
-            "referee": RefereeCore(RefereeSettings(required=("simulator", "seeker", *others))),
+            "referee": RefereeCore(self._referee),
             "simulator": SimulatorCore(),
             "seeker": SeekerCore(),
             **others,
@@ -66,6 +67,8 @@ class Table:
         self.observer.subscribe("**", raw=True)
         self.runtimes = [Runtime(core, self.network.session(name), self.network.clock) for name, core in cores.items()]
         self.pages = Pages()
+        self.silent = False
+        """Whether the console says nothing of its health."""
         self._next_health = 0
         self.open_console()
 
@@ -81,6 +84,13 @@ class Table:
         self.bus.close()
         self.pages.seen.clear()
         self.open_console()
+
+    def restart_referee(self) -> None:
+        """The referee dies; another one comes."""
+        old = next(runtime for runtime in self.runtimes if isinstance(runtime.core, RefereeCore))
+        self.runtimes.remove(old)
+        old.bus.close()
+        self.runtimes.append(Runtime(RefereeCore(self._referee), self.network.session("referee"), self.network.clock))
 
     @property
     def now(self) -> int:
@@ -103,7 +113,7 @@ class Table:
         end = self.now + int(seconds * 1e9)
 
         def over() -> bool:
-            if self.now >= self._next_health:
+            if self.now >= self._next_health and not self.silent:
                 # In one thread nobody reports health by himself; the referee wants to hear that a human could drive.
                 self._next_health = self.now + SECOND
                 self.bus.publish("health/console", self.console.health_report("ok"))

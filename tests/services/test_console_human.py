@@ -7,13 +7,13 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from schemas import ColorImage, Command, DepthImage, Episode, Playback, Players, Pose, StateImage, Tick
+from schemas import ColorImage, Command, Control, DepthImage, Episode, Playback, Players, Pose, Rules, StateImage, Tick
 from services.console import requests
 from services.console.core import ConsoleCore
 from services.console.events import PAGE, PageEvent
 from services.console.human import HEARD, answer
-from tests.services.console_game import Table
-from tests.services.console_human import begin, commands, step_of, to_end, to_step
+from tests.services.console_game import Table, health
+from tests.services.console_human import STEPS, begin, commands, step_of, to_end, to_step
 from vantage.perception.state_image import perceive
 from vantage.service import Arrived, Captured, Publish
 from vantage.world.camera import Camera
@@ -102,6 +102,69 @@ def test_a_running_game_is_discarded(table: Table) -> None:
     assert table.of("episode")[-1].phase == "aborted"
     assert table.header("score")["discarded"] == 1
     assert table.header("score")["aborted"] == 0
+
+
+def silence(table: Table, console_frozen: bool = False) -> None:
+    """Nothing is heard of the console any more; `console_frozen`: it hears and answers nothing either (a stopped process)."""
+    table.silent = True
+    if console_frozen:
+        table.runtimes.remove(table.console)
+
+
+def phases(table: Table) -> list[tuple[int, str]]:
+    return [(episode.episode, episode.phase) for episode in table.of("episode") if episode.phase != "running"]
+
+
+@pytest.mark.parametrize("hider", ["human", "nobody"])
+def test_games_set_up_without_a_driver_are_given_up_and_no_more_are_promised(table: Table, hider: str) -> None:
+    silence(table)
+    table.run_for(6.0)
+    line = table.network.session("command-line")
+    rules, players = Rules(maximum_steps=STEPS), Players(hider=hider)
+    line.publish("control", Control(stamp=table.now, action="start", games=3, rules=rules, players=players))
+    to_end(table)
+    assert [header["more_games"] for header, _ in table.frames("session")][-2:] == [True, False]
+    table.run_for(60.0)
+    assert phases(table) == [(1, "setup"), (1, "aborted")]
+
+
+@pytest.mark.parametrize("comes_back", [True, False])
+def test_after_a_game_that_lost_its_driver_another_one_is_tried(table: Table, comes_back: bool) -> None:
+    """The referee tries the next game for some seconds: whoever comes back in time plays it."""
+    begin(table, games=3)
+    to_step(table, 2)
+    silence(table, console_frozen=True)
+    to_end(table)
+    assert "no console is alive" in table.of("episode")[-1].reason
+    if not comes_back:
+        to_end(table, 2)
+    table.runtimes.append(table.console)
+    table.silent = False
+    table.settle()
+    assert table.header("session")["more_games"] is comes_back
+    table.run_for(60.0)
+    first = [(1, "setup"), (1, "aborted"), (2, "setup")]
+    assert phases(table) == [*first, *([(2, "ended"), (3, "setup"), (3, "ended")] if comes_back else [(2, "aborted")])]
+    assert table.header("session")["more_games"] is False
+
+
+def test_a_referee_that_was_restarted_plays_no_more_of_the_games_and_none_are_promised(table: Table) -> None:
+    says = health("referee", table.now)
+    table.say("referee", [("health/referee", says)])
+    begin(table, games=3)
+    to_step(table, 2)
+    table.ask(requests.Pause())
+    table.run(lambda: table.of("episode")[-1].paused)
+    table.say("referee", [("health/referee", says)])
+    assert (table.header("session")["more_games"], table.header("session")["paused"]) == (True, True)
+    table.restart_referee()
+    table.say("referee", [("health/referee", replace(says, process=says.process + 1))])
+    assert (table.header("session")["more_games"], table.header("session")["paused"]) == (False, False)
+    table.run_for(60.0)
+    assert phases(table) == [(1, "setup"), (1, "aborted")]
+    begin(table, games=2)
+    table.settle()
+    assert table.header("session")["more_games"] is True
 
 
 def test_what_was_tapped_during_a_pause_does_not_move_the_robot(table: Table) -> None:
