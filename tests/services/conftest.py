@@ -1,4 +1,4 @@
-"""A table on which the planner plays, with a page of the console open; and the console's web server."""
+"""A table with a page of the console open, on which the planner plays unless a file says otherwise; and the web server."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from services.planner.core import PlannerCore
 from services.predictor.core import PredictorCore
 from tests.services.console_game import Table
 from tests.services.console_server import Console
+from vantage.service import Core
 
 
 @pytest.fixture(scope="session")
@@ -28,8 +29,14 @@ def small_networks() -> Any:
 
 
 @pytest.fixture
-def table(small_networks: Any) -> Table:
-    table = Table({"planner": PlannerCore(), "predictor": PredictorCore(small_networks)})
+def others(small_networks: Any) -> dict[str, Core]:
+    """Who plays besides referee, simulator, seeker and console."""
+    return {"planner": PlannerCore(), "predictor": PredictorCore(small_networks)}
+
+
+@pytest.fixture
+def table(others: dict[str, Core]) -> Table:
+    table = Table(others)
     table.come()
     table.run_for(1.0)
     return table

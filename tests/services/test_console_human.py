@@ -15,16 +15,14 @@ from services.console.human import HEARD, answer
 from tests.services.console_game import Table, health
 from tests.services.console_human import STEPS, begin, commands, step_of, to_end, to_step
 from vantage.perception.state_image import perceive
-from vantage.service import Arrived, Captured, Publish
+from vantage.service import Arrived, Captured, Core, Publish
 from vantage.world.camera import Camera
 
 
 @pytest.fixture
-def table() -> Table:
-    table = Table()
-    table.come()
-    table.run_for(1.0)
-    return table
+def others() -> dict[str, Core]:
+    """People drive: no planner, no networks."""
+    return {}
 
 
 def test_every_step_is_answered_as_any_hider_answers_it(table: Table) -> None:

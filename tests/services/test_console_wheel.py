@@ -9,15 +9,13 @@ from services.console import requests
 from services.console.wheel import GRACE, Wheel
 from tests.services.console_game import Table
 from tests.services.console_human import begin, commands, step_of, to_end, to_step
-from vantage.service import SECOND, Publish
+from vantage.service import SECOND, Core, Publish
 
 
 @pytest.fixture
-def table() -> Table:
-    table = Table()
-    table.come()
-    table.run_for(1.0)
-    return table
+def others() -> dict[str, Core]:
+    """People drive: no planner, no networks."""
+    return {}
 
 
 def test_when_the_driver_goes_the_robot_stays_and_the_game_is_paused_until_somebody_takes_the_wheel(table: Table) -> None:
