@@ -1,0 +1,44 @@
+"""The referee tells why a game was given up: whose fault it is, in that service's own words."""
+
+from schemas import Episode, Rules
+from services.referee.core import RefereeCore, RefereeSettings
+from tests.services.referee_table import REAL, Table, trouble
+from vantage.service import Changed
+
+
+def aborted_at_the_first_step(*received: object) -> str:
+    """Play up to step 0 on a real table, receive some events, and never see the next poses; return the reason."""
+    table = Table(autoplay=True, games=1)
+    table.core = RefereeCore(RefereeSettings(autoplay=True, games=1, rules=Rules(step_period=0.0), required=REAL))
+    table.wake()
+    table.wake()
+    for name in ("tracker", "robot", "seeker", "planner"):
+        table.send(Changed(name, True))
+    table.pose("hider", 0.2, 0)
+    table.pose("seeker", 0.6, 0)
+    for event in received:
+        table.send(event)
+    table.command("hider", 0)
+    table.command("seeker", 0)
+    (aborted,) = table.wake()
+    assert isinstance(aborted, Episode) and aborted.phase == "aborted" and aborted.outcome == "undecided"
+    return aborted.reason
+
+
+def test_an_aborted_game_says_what_those_who_embody_the_robots_complain_of() -> None:
+    late = "step 0 was not executed within 3 s"
+    assert aborted_at_the_first_step() == late
+    lost = trouble("tracker", "overhead camera: no frame for 2.0 s")
+    said = aborted_at_the_first_step(trouble("tracker", "no picture"), lost)
+    assert said == f"{late}; tracker: overhead camera: no frame for 2.0 s"
+    assert aborted_at_the_first_step(lost, trouble("tracker", "", "ok")) == late
+
+
+def test_a_long_complaint_leaves_room_for_another() -> None:
+    reason = aborted_at_the_first_step(trouble("tracker", "x" * 500), trouble("robot", "the seeker does not answer"))
+    assert reason.endswith("xxx...; robot: the seeker does not answer") and len(reason) <= 200
+
+
+def test_who_is_gone_is_named_and_its_last_words_are_not_believed() -> None:
+    reason = aborted_at_the_first_step(trouble("robot", "all is well"), Changed("robot", False))
+    assert reason == "step 0 was not executed within 3 s; simulator or robot or onboard is not alive"
