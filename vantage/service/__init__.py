@@ -23,9 +23,10 @@ from vantage.service.core import (
     Woken,
 )
 from vantage.service.device import Captured, Device, DeviceLost, Write
+from vantage.service.in_process import run_in_process
 from vantage.service.join import StepJoin
 from vantage.service.process import BusSettings, run
-from vantage.service.runtime import Runtime, run_in_process, steady_clock
+from vantage.service.runtime import Runtime, steady_clock
 
 __all__ = [
     "SECOND",

@@ -1,16 +1,16 @@
-"""The runtime: puts a core on a bus, decodes at the door, counts what is malformed, lost or unexpected, reports health."""
+"""The runtime: puts a core on a bus, decodes at the door, keeps account of the service's condition, reports health."""
 
 from __future__ import annotations
 
 import logging
-import os
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from schemas import TOPICS, Episode, Health, InputHealth, MalformedMessage, Message
-from vantage.bus import Alive, Bus, InProcessNetwork, Lost, Reply, Request, Sample, VirtualClock
+from schemas import TOPICS, Episode, Health, MalformedMessage, Message
+from vantage.bus import Alive, Bus, Lost, Reply, Request, Sample
+from vantage.service.condition import Condition
 from vantage.service.core import (
     SECOND,
     Answer,
@@ -32,36 +32,14 @@ from vantage.service.device import Captured, Device, DeviceThread, Write
 logger = logging.getLogger("vantage")
 
 HEALTH_PERIOD = SECOND
-STALE_PERIODS = 10
-STALE_MINIMUM = 2.5
-"""An input is stale in a running real-time game when it is older than 10 of its periods, and than 2.5 s, pauses not counted."""
-
-TROUBLE_LASTS = 10 * SECOND
-"""ns that health repeats what went wrong with one message."""
-
 LAST_WORDS = 1.0
 """Seconds that a raw service goes on with what has arrived before it was stopped."""
-MOST_INPUTS = 200
-"""Keys that health tells apart; a raw service counts further ones together, as `**`."""
-
-
 _WALL_MINUS_STEADY = time.time_ns() - time.monotonic_ns()
 
 
 def steady_clock() -> int:
     """Return ns since the Unix epoch as it was when the process started: the clock that timers need never steps back."""
     return time.monotonic_ns() + _WALL_MINUS_STEADY
-
-
-@dataclass(slots=True)
-class _Input:
-    """Running counts of one input, reported in health."""
-
-    publisher: str = ""
-    received: int = 0
-    malformed: int = 0
-    lost: int = 0
-    last: int | None = None
 
 
 @dataclass
@@ -79,17 +57,9 @@ class Runtime:
     clock: Callable[[], int] = steady_clock
     health: bool = True
     devices: Sequence[Device] = ()
-    _inputs: dict[str, _Input] = field(default_factory=dict)
-    _unexpected: int = 0
-    _failed: int = 0
-    _trouble: str = ""
-    _troubled_at: int = 0
-    _flowing_since: int | None = None
-    _alive: dict[str, bool] = field(default_factory=dict)
     _tokens: dict[int, tuple[str, int]] = field(default_factory=dict)
     _requests: dict[int, Request] = field(default_factory=dict)
     _next_health: int = 0
-    _started: int = 0
     _stopping: bool = False
 
     def __post_init__(self) -> None:
@@ -99,8 +69,7 @@ class Runtime:
         self._heeds = frozenset(name for names in declaration.heeds for name in names.split("|"))
         self._devices = {device.name: device for device in self.devices}
         self._threads = [DeviceThread(device, self.bus.post, self.clock) for device in self.devices]
-        self._inputs = {} if self._raw else {key: _Input() for key in declaration.inputs}
-        self._started = self.clock()
+        self._condition = Condition(self.core, self.clock())
         self._last_failure_logged = 0.0
         if declaration.inputs:
             self.bus.subscribe(*declaration.inputs, raw=self._raw)
@@ -171,53 +140,7 @@ class Runtime:
 
     def health_report(self, state: str) -> Health:
         """Return what the service has to say of itself now."""
-        now = self.clock()
-        inputs = []
-        troubles = [
-            f"{names.replace('|', ' or ')} is not alive"
-            for names in sorted(self.core.declaration.heeds)
-            if not any(self._alive.get(name, False) for name in names.split("|"))
-        ]
-        if own := getattr(self.core, "trouble", ""):
-            troubles.append(own)
-        for key, counts in self._inputs.items():
-            age = None if counts.last is None else max(0.0, (now - counts.last) / SECOND)
-            rate = TOPICS[key].rate if key in TOPICS else 0.0
-            stale = rate > 0 and not key.startswith("health/") and self._is_stale(counts.last, rate, now)
-            if stale:
-                troubles.append(f"{key} from {counts.publisher or 'nobody'} is {age:.1f} s old, expected {rate:g} a second")
-            inputs.append(
-                InputHealth(
-                    key=key,
-                    publisher=counts.publisher,
-                    received=counts.received,
-                    malformed=counts.malformed,
-                    lost=counts.lost,
-                    age=age,
-                    stale=stale,
-                )
-            )
-        if troubles and state == "ok":
-            state = "degraded"
-        recent = self._trouble and now - self._troubled_at < TROUBLE_LASTS
-        reason = "; ".join([*troubles, self._trouble] if recent else troubles)
-        return Health(
-            stamp=now,
-            service=self.core.declaration.name,
-            state=state,  # type: ignore[arg-type]
-            process=os.getpid(),
-            uptime=max(0.0, (now - self._started) / SECOND),
-            inputs=tuple(inputs[:256]),
-            unexpected=self._unexpected,
-            failed=self._failed,
-            reason=reason[:2000],
-        )
-
-    def _is_stale(self, last: int | None, rate: float, now: int) -> bool:
-        """Whether an input that flows while a game runs has failed to: neither before the game, nor during a pause."""
-        if last is None or self._flowing_since is None:
-            return False
-        return now - max(last, self._flowing_since) > SECOND * max(STALE_PERIODS / rate, STALE_MINIMUM)
+        return self._condition.report(state, self.clock())
 
     def _handle(self, event: Any, now: int) -> None:
         if type(event) is Sample:
@@ -227,8 +150,7 @@ class Runtime:
         elif isinstance(event, Reply):
             self._handle_reply(event, now)
         elif isinstance(event, Lost):
-            counts = self._inputs.setdefault(event.key, _Input(publisher=event.publisher))
-            counts.lost += event.missed
+            self._condition.counts_of(event.key, event.publisher).lost += event.missed
             if self._raw:
                 self._step(event, now)
         elif isinstance(event, DeviceThread):
@@ -236,12 +158,12 @@ class Runtime:
                 self._step(captured, now)
         elif isinstance(event, Captured):
             self._step(event, now)
-        elif isinstance(event, Alive) and event.name in self._heeds and self._alive.get(event.name) != event.alive:
-            self._alive[event.name] = event.alive
+        elif isinstance(event, Alive) and event.name in self._heeds and self._condition.hears_of(event.name, event.alive):
             self._step(Changed(event.name, event.alive), now)
 
     def _handle_sample(self, sample: Sample, now: int) -> None:
-        counts = self._counts_of(sample)
+        condition = self._condition
+        counts = condition.counts_of(sample.key)
         if self._raw:
             counts.received += 1
             counts.last = now
@@ -251,41 +173,23 @@ class Runtime:
         try:
             message = sample.decode()
         except MalformedMessage as error:
-            self._set_aside_malformed(sample, error)
+            condition.malformed(sample, error, now)
             return
         counts.received += 1
         topic = TOPICS.get(sample.key)
         if topic is not None and sample.publisher not in topic.publishers:
             # A stranger's episode with an absurd number would make us deaf to the real ones.
-            self._unexpected += 1
-            self._note(f"set aside: {sample.key} from {sample.publisher or 'a stranger'}, who may not publish it")
+            condition.unexpected += 1
+            condition.note(f"set aside: {sample.key} from {sample.publisher or 'a stranger'}, who may not publish it", now)
             return
         counts.last = now
         counts.publisher = sample.publisher
         if type(message) is Episode:
-            if message.phase != "running" or message.paused or message.rules.step_period == 0:
-                self._flowing_since = None
-            elif self._flowing_since is None:
-                self._flowing_since = now
+            condition.expects_flow(message.phase == "running" and not message.paused and message.rules.step_period > 0, now)
         self._step(Arrived(sample.key, message), now)
 
-    def _counts_of(self, sample: Sample) -> _Input:
-        counts = self._inputs.get(sample.key)
-        if counts is None:
-            # Strangers may publish on any number of keys; health stays small.
-            key = sample.key if sample.key in TOPICS or len(self._inputs) < MOST_INPUTS else "**"
-            counts = self._inputs.setdefault(key[:200], _Input())
-        return counts
-
-    def _set_aside_malformed(self, sample: Sample, error: MalformedMessage) -> None:
-        self._counts_of(sample).malformed += 1
-        self._note(f"{sample.key} from {sample.publisher or 'an unknown publisher'} was malformed: {error}")
-
-    def _note(self, trouble: str) -> None:
-        self._trouble, self._troubled_at = trouble, self.clock()
-
     def _handle_request(self, request: Request, now: int) -> None:
-        counts = self._inputs.setdefault(request.key, _Input())
+        counts = self._condition.counts_of(request.key)
         counts.publisher = request.caller
         try:
             message = request.decode()
@@ -298,7 +202,9 @@ class Runtime:
         token = request.token
         self._requests[token] = request
         if not self._step(Asked(request.key, message, token), now) and token in self._requests:
-            self._requests.pop(token).fail(f"{self.core.declaration.name} could not handle this request: {self._trouble}")
+            self._requests.pop(token).fail(
+                f"{self.core.declaration.name} could not handle this request: {self._condition.trouble}"
+            )
 
     def _handle_reply(self, reply: Reply, now: int) -> None:
         known = self._tokens.pop(reply.token, None)
@@ -319,15 +225,15 @@ class Runtime:
             for send in self.core.step(received, now):
                 self._send(send)
         except Unexpected as unexpected:
-            self._unexpected += 1
-            self._note(f"set aside: {unexpected}")
+            self._condition.unexpected += 1
+            self._condition.note(f"set aside: {unexpected}", now)
             return False
         except Exception as error:  # a service never dies of a message
             if self._raw and isinstance(error, MalformedMessage) and type(received) is Sample:
-                self._set_aside_malformed(received, error)
+                self._condition.malformed(received, error, now)
                 return False
-            self._failed += 1
-            self._note(f"{type(error).__name__}: {error}")
+            self._condition.failed += 1
+            self._condition.note(f"{type(error).__name__}: {error}", now)
             if time.monotonic() - self._last_failure_logged > 1.0:
                 self._last_failure_logged = time.monotonic()
                 logger.exception("%s: handling %s failed", self.core.declaration.name, type(received).__name__)
@@ -351,26 +257,3 @@ class Runtime:
             request = self._requests.pop(send.token, None)
             if request is not None:
                 request.fail(send.reason)
-
-
-def run_in_process(network: InProcessNetwork, runtimes: Sequence[Runtime], until: Callable[[], bool]) -> None:
-    """Run services in one thread, each in turn, deterministically, until `until()` is true.
-
-    When nobody has anything to do, the network's clock (a VirtualClock) jumps to the next time that a core wants to be woken or
-    a call is due.
-
-    Raises:
-        RuntimeError: nothing is left to do although `until()` is false.
-    """
-    clock = network.clock
-    assert isinstance(clock, VirtualClock)
-    while not until():
-        active = False
-        for runtime in runtimes:
-            active |= runtime.drain()
-        if not active:
-            wakes = [runtime.core.wake_at() for runtime in runtimes] + [network.next_deadline()]
-            due = [wake for wake in wakes if wake is not None]
-            if not due:
-                raise RuntimeError("the services are all idle, and what was waited for has not come")
-            clock.now = max(clock.now, min(due))

@@ -1,0 +1,138 @@
+"""The condition of a service: what it has heard, lost and set aside, who is alive, and what health says of it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+
+from schemas import TOPICS, Health, InputHealth, MalformedMessage
+from vantage.bus import Sample
+from vantage.service.core import SECOND, Core
+
+STALE_PERIODS = 10
+STALE_MINIMUM = 2.5
+"""An input is stale in a running real-time game when it is older than 10 of its periods, and than 2.5 s, pauses not counted."""
+
+TROUBLE_LASTS = 10 * SECOND
+"""ns that health repeats what went wrong with one message."""
+
+MOST_INPUTS = 200
+"""Keys that health tells apart; a raw service counts further ones together, as `**`."""
+
+
+@dataclass(slots=True)
+class InputCounts:
+    """Running counts of one input; `last` is when it was heard last, ns."""
+
+    publisher: str = ""
+    received: int = 0
+    malformed: int = 0
+    lost: int = 0
+    last: int | None = None
+
+
+class Condition:
+    """See module. All times in ns since the Unix epoch.
+
+    Attributes:
+        unexpected: well-formed messages that made no sense and were set aside.
+        failed: messages whose handling raised an error.
+        trouble: what went wrong with a message last.
+    """
+
+    def __init__(self, core: Core, now: int) -> None:
+        self.unexpected = 0
+        self.failed = 0
+        self.trouble = ""
+        self._core = core
+        self._inputs = {} if core.declaration.raw else {key: InputCounts() for key in core.declaration.inputs}
+        self._alive: dict[str, bool] = {}
+        self._troubled_at = 0
+        self._flowing_since: int | None = None
+        self._started = now
+
+    def counts_of(self, key: str, publisher: str = "") -> InputCounts:
+        """Return the counts of a key; `publisher` of one that nothing was heard of."""
+        counts = self._inputs.get(key)
+        if counts is None:
+            # Strangers may publish on any number of keys; health stays small.
+            if key not in TOPICS and len(self._inputs) >= MOST_INPUTS:
+                key = "**"
+            counts = self._inputs.setdefault(key[:200], InputCounts(publisher=publisher))
+        return counts
+
+    def malformed(self, sample: Sample, error: MalformedMessage, now: int) -> None:
+        """A message did not decode."""
+        self.counts_of(sample.key).malformed += 1
+        self.note(f"{sample.key} from {sample.publisher or 'an unknown publisher'} was malformed: {error}", now)
+
+    def note(self, trouble: str, now: int) -> None:
+        """Something was wrong with a message; health says so for a while."""
+        self.trouble, self._troubled_at = trouble, now
+
+    def hears_of(self, name: str, alive: bool) -> bool:
+        """A service came or went; return whether that is news."""
+        news = self._alive.get(name) != alive
+        self._alive[name] = alive
+        return news
+
+    def expects_flow(self, flowing: bool, now: int) -> None:
+        """Inputs that have a rate come at it from now on, or need not come."""
+        if not flowing:
+            self._flowing_since = None
+        elif self._flowing_since is None:
+            self._flowing_since = now
+
+    def report(self, state: str, now: int) -> Health:
+        """Return what the service has to say of itself.
+
+        Args:
+            state: `ok` becomes `degraded` where something is wrong.
+        """
+        declaration = self._core.declaration
+        troubles = [
+            f"{names.replace('|', ' or ')} is not alive"
+            for names in sorted(declaration.heeds)
+            if not any(self._alive.get(name, False) for name in names.split("|"))
+        ]
+        if own := getattr(self._core, "trouble", ""):
+            troubles.append(own)
+        inputs = []
+        for key, counts in self._inputs.items():
+            age = None if counts.last is None else max(0.0, (now - counts.last) / SECOND)
+            rate = TOPICS[key].rate if key in TOPICS else 0.0
+            stale = rate > 0 and not key.startswith("health/") and self._is_stale(counts.last, rate, now)
+            if stale:
+                troubles.append(f"{key} from {counts.publisher or 'nobody'} is {age:.1f} s old, expected {rate:g} a second")
+            inputs.append(
+                InputHealth(
+                    key=key,
+                    publisher=counts.publisher,
+                    received=counts.received,
+                    malformed=counts.malformed,
+                    lost=counts.lost,
+                    age=age,
+                    stale=stale,
+                )
+            )
+        if troubles and state == "ok":
+            state = "degraded"
+        recent = self.trouble and now - self._troubled_at < TROUBLE_LASTS
+        reason = "; ".join([*troubles, self.trouble] if recent else troubles)
+        return Health(
+            stamp=now,
+            service=declaration.name,
+            state=state,  # type: ignore[arg-type]
+            process=os.getpid(),
+            uptime=max(0.0, (now - self._started) / SECOND),
+            inputs=tuple(inputs[:256]),
+            unexpected=self.unexpected,
+            failed=self.failed,
+            reason=reason[:2000],
+        )
+
+    def _is_stale(self, last: int | None, rate: float, now: int) -> bool:
+        """Whether an input that flows while a game runs has failed to: neither before the game, nor during a pause."""
+        if last is None or self._flowing_since is None:
+            return False
+        return now - max(last, self._flowing_since) > SECOND * max(STALE_PERIODS / rate, STALE_MINIMUM)
