@@ -126,6 +126,17 @@ def test_losses_after_a_game_do_not_count_against_the_one_before() -> None:
     assert [log.lost for log in found] == [0, 2]
 
 
+def test_a_loss_counts_against_all_games_under_way_and_after_them_against_the_last() -> None:
+    gap = Record("gap", "recorder", 0, START, 0, encode(Gap(stamp=1, key="hider/pose", publisher="x", missed=2)))
+    broken = Record("hider/pose", "x", 0, START, 0, b"\xc1", False)
+    first, second = played(1, 3), played(2, 3)
+    both = episodes([*first[:-1], second[0], gap, broken, first[-1], *second[1:]])
+    assert [(log.number, log.lost, log.malformed) for log in both] == [(1, 2, 1), (2, 2, 1)]
+    over = episodes([*first, *second, gap, broken])
+    assert [(log.number, log.lost, log.malformed) for log in over] == [(1, 0, 0), (2, 2, 1)]
+    assert not list(episodes([gap, broken])), "of no game"
+
+
 def test_messages_outside_any_game_belong_to_none() -> None:
     stray = Record("hider/pose", "x", 0, START, 0, encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0)))
     assert list(episodes([stray])) == []

@@ -14,7 +14,6 @@ from schemas import (
     Episode,
     Gap,
     Layout,
-    MalformedMessage,
     Message,
     Plan,
     Pose,
@@ -22,7 +21,7 @@ from schemas import (
     StateImage,
     Tick,
 )
-from vantage.log.games import WORD_TOPICS, Games, Word
+from vantage.log.games import WORD_TOPICS, Games, messages_of
 from vantage.log.games import games_of as heard
 from vantage.log.reader import Log, Record
 
@@ -127,48 +126,32 @@ def episodes(records: Iterable[Record]) -> Iterator[EpisodeLog]:
     Args:
         records: of one log, in order: `read(path, topics=EPISODE_TOPICS)`.
     """
-    games = Games()
-    held: dict[int, EpisodeLog] = {}  # by place
+    held: dict[int, EpisodeLog] = {}  # by place: the two games set up last
     early: dict[int, list[tuple[str, Message]]] = {}
-    for record in records:
-        if record.key not in EPISODE_TOPICS:
-            continue
-        try:
-            message = record.decode()
-        except MalformedMessage:
-            for log in _under_way(held):
-                log.malformed += 1
-            continue
-        if isinstance(message, Gap):
-            if message.key in EPISODE_TOPICS:
-                for log in _under_way(held):
-                    log.lost += message.missed
-            continue
-        number = message.episode
-        if isinstance(message, Control):
-            discarded = games.heed(record.log_time, message)
-            if discarded is not None and discarded.place in held:
-                held[discarded.place].discarded = True
+    for record, message, game in messages_of(records, EPISODE_TOPICS, Games()):
+        if game is None:
+            assert message is not None
+            early.setdefault(message.episode, []).append((record.key, message))
+            while len(early) > 2:
+                early.pop(next(iter(early)))
+        elif message is None:
+            held[game.place].malformed += 1
+        elif isinstance(message, Gap):
+            held[game.place].lost += message.missed
+        elif isinstance(message, Control):
+            if game.place in held:
+                held[game.place].discarded = True
         elif isinstance(message, Episode):
-            game = games.hear(Word(record.log_time, record.publisher, message))
-            if game is None:
-                continue
             if game.place in held:
                 held[game.place].episode = game.episode
                 continue
             while len(held) > 1:
                 yield held.pop(next(iter(held)))
             held[game.place] = EpisodeLog(message, game.place)
-            for key, waiting in early.pop(number, ()):
+            for key, waiting in early.pop(message.episode, ()):
                 held[game.place].add(key, waiting)
-        elif number:
-            game = games.owner(number)
-            if game is not None:
-                held[game.place].add(record.key, message)
-                continue
-            early.setdefault(number, []).append((record.key, message))
-            while len(early) > 2:
-                early.pop(next(iter(early)))
+        else:
+            held[game.place].add(record.key, message)
     yield from held.values()
 
 
@@ -179,9 +162,3 @@ def games_of(log: Log, topics: Collection[str] = EPISODE_TOPICS) -> Iterator[Epi
     for game in episodes(log.records(topics)):
         game.discarded |= game.place < len(words) and words[game.place].discarded
         yield game
-
-
-def _under_way(games: dict[int, EpisodeLog]) -> list[EpisodeLog]:
-    """The games that a loss may concern: those not ended; else the last."""
-    playing = [game for game in games.values() if game.episode.phase in ("setup", "running")]
-    return playing or list(games.values())[-1:]

@@ -1,6 +1,7 @@
 """Which games a log holds: the one reading of what the referee, and those who discard games, say.
 
-Whatever groups messages into games (`episodes`, `outline`, a report, a replay) does it by `Games`:
+Whatever groups messages into games (`episodes`, `outline`, a report, a replay) does it by `Games`; `messages_of` is how a log
+is gone through for it:
 
 * A set-up begins a game, unless it is the newest of its number said again (same stamp, same seed). So does a word on a number
   that was never set up: the log begins within that game. A game is told by its place in the log, because numbers and seeds come
@@ -10,18 +11,19 @@ Whatever groups messages into games (`episodes`, `outline`, a report, a replay) 
 * A game that ended stays so: a restarted referee declares the last game it hears of aborted. Seed, rules and players are those
   of the first word, because that referee does not know them.
 * A discard means the newest game of its number, however long ago that was.
+* A loss, or a message that does not decode, may concern the games of those two that have not ended; where both have, the last.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Protocol, TypeVar
 
 from msgspec import structs
 
-from schemas import Control, Episode, MalformedMessage
+from schemas import Control, Episode, Gap, MalformedMessage, Message
 from vantage.log.reader import MOST_LISTED, Record
 
 WORD_TOPICS = ("episode", "control")
@@ -118,6 +120,11 @@ class Games:
         game = self._newest.get(number)
         return game if game is not None and game.place >= len(self.all) - 2 else None
 
+    def under_way(self) -> Sequence[Game]:
+        """Return the games that a loss may concern now."""
+        newest = self.all[-2:]
+        return [game for game in newest if game.words[-1].said.phase in ("setup", "running")] or newest[-1:]
+
     def hear(self, word: Word) -> Game | None:
         """Take a word; return the game that it belongs to (a new one has no other word), None when it is not believed."""
         said = word.said
@@ -150,6 +157,43 @@ def _begins_anew(known: Game, said: Episode) -> bool:
     return (first.phase, first.stamp, first.seed) != ("setup", said.stamp, said.seed)
 
 
+def messages_of(
+    records: Iterable[Record], topics: Collection[str], games: Games
+) -> Iterator[tuple[Record, Message | None, Game | None]]:
+    """Go through a log and yield each record of some topics with its message and the game that it concerns.
+
+    The message is None where it does not decode; that, and a `Gap` on these topics, comes once for each game under way. A wish
+    (`control`) concerns the game that it discards. The game is None while nothing was said of it yet. Left out is what concerns
+    no game, and words that are not believed.
+
+    Args:
+        records: of one log, in order.
+        topics: others are passed over.
+        games: is told what the log says of games.
+    """
+    for record in records:
+        if record.key not in topics:
+            continue
+        try:
+            message = record.decode()
+        except MalformedMessage:
+            for game in games.under_way():
+                yield record, None, game
+            continue
+        if isinstance(message, Gap):
+            if message.key in topics:
+                for game in games.under_way():
+                    yield record, message, game
+        elif isinstance(message, Control):
+            if (discarded := games.heed(record.log_time, message)) is not None:
+                yield record, message, discarded
+        elif isinstance(message, Episode):
+            if (spoken_of := games.hear(Word(record.log_time, record.publisher, message))) is not None:
+                yield record, message, spoken_of
+        elif message.episode:
+            yield record, message, games.owner(message.episode)
+
+
 def games_of(records: Iterable[Record]) -> list[Game]:
     """Return the games of a log.
 
@@ -157,17 +201,8 @@ def games_of(records: Iterable[Record]) -> list[Game]:
         records: at least those of `WORD_TOPICS`, in order.
     """
     games = Games()
-    for record in records:
-        if record.key not in WORD_TOPICS:
-            continue
-        try:
-            message = record.decode()
-        except MalformedMessage:
-            continue
-        if isinstance(message, Episode):
-            games.hear(Word(record.log_time, record.publisher, message))
-        elif isinstance(message, Control):
-            games.heed(record.log_time, message)
+    for _ in messages_of(records, WORD_TOPICS, games):
+        pass
     return games.all
 
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 
 from schemas import ROBOTS, Control, Episode, Gap, Layout, MalformedMessage, Message, Plan, Robot, Tick
 from vantage.log.episodes import EPISODE_TOPICS
-from vantage.log.games import AboutGame, Game, Games, Word
+from vantage.log.games import AboutGame, Game, Games, messages_of
 from vantage.log.reader import Log
 from vantage.log.target import Progress, in_silence
 
@@ -79,50 +79,36 @@ def called(game: GameOutline) -> str:
 
 def outline(log: Log, progress: Progress = in_silence) -> list[GameOutline]:
     """Go through a log once and return its games, in the order in which they were set up; see `vantage.log.games`."""
-    games = Games()
     outlines: list[GameOutline] = []
     early: dict[int, GameOutline] = {}  # what came before the first word
     first, last = time_span(log)
-    for count, record in enumerate(log.records(EPISODE_TOPICS)):
+    for count, (record, message, game) in enumerate(messages_of(log.records(EPISODE_TOPICS), EPISODE_TOPICS, Games())):
         if count % 256 == 0:
             progress("reading", (record.log_time - first) / max(last - first, 1))
-        try:
-            message = record.decode()
-        except MalformedMessage:
-            for outlined in _under_way(outlines):
-                outlined.malformed += 1
-            continue
-        if isinstance(message, Gap):
-            if message.key in EPISODE_TOPICS:
-                for outlined in _under_way(outlines):
-                    outlined.lost += message.missed
-            continue
-        number = message.episode
-        if isinstance(message, Control):
-            games.heed(record.log_time, message)
+        if game is None:
+            assert message is not None
+            waiting = early.setdefault(message.episode, GameOutline(Game(-1), record.log_time, record.log_time))
+            _note(waiting, record.key, message)
+            while len(early) > 2:
+                early.pop(next(iter(early)))
+        elif message is None:
+            outlines[game.place].malformed += 1
+        elif isinstance(message, Gap):
+            outlines[game.place].lost += message.missed
         elif isinstance(message, Episode):
-            game = games.hear(Word(record.log_time, record.publisher, message))
-            if game is None:
-                continue
             if game.place == len(outlines):
                 outlined = GameOutline(game, record.log_time, record.log_time, game.since)
                 outlines.append(outlined)
-                waiting = early.pop(number, None)
-                if waiting is not None:
-                    outlined.first_time = waiting.first_time
-                    outlined.since = min(outlined.since, waiting.first_time - 1)
-                    outlined.held, outlined.late, outlined.layout = waiting.held, waiting.late, waiting.layout
+                before = early.pop(message.episode, None)
+                if before is not None:
+                    outlined.first_time = before.first_time
+                    outlined.since = min(outlined.since, before.first_time - 1)
+                    outlined.held, outlined.late, outlined.layout = before.held, before.late, before.layout
             outlines[game.place].last_time = record.log_time
-        elif number:
-            game = games.owner(number)
-            if game is not None:
-                _note(outlines[game.place], record.key, message)
-                outlines[game.place].last_time = record.log_time
-            else:
-                waiting = early.setdefault(number, GameOutline(Game(-1), record.log_time, record.log_time))
-                _note(waiting, record.key, message)
-                while len(early) > 2:
-                    early.pop(next(iter(early)))
+        elif not isinstance(message, Control):  # a game knows by itself that it was discarded
+            outlined = outlines[game.place]
+            _note(outlined, record.key, message)
+            outlined.last_time = record.log_time
     progress("reading", 1.0)
     return outlines
 
@@ -216,9 +202,3 @@ def _note(game: GameOutline, key: str, message: Message) -> None:
                 game.late[message.step] = message.late
         case _:
             game.held[key] = game.held.get(key, 0) | 1 << message.step
-
-
-def _under_way(games: list[GameOutline]) -> list[GameOutline]:
-    """The games that a loss may concern: those not ended; else the last. As `episodes`, which looks at two games at a time."""
-    playing = [game for game in games[-2:] if game.episode.phase in ("setup", "running")]
-    return playing or games[-1:]
