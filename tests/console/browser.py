@@ -15,10 +15,15 @@ from playwright.sync_api import Browser, Page, sync_playwright
 NOTES = """
 window.violations = [];
 window.sockets = [];
+window.asked = []; // what this page sent
 window.WebSocket = class extends WebSocket {
   constructor(...given) {
     super(...given);
     window.sockets.push(this);
+  }
+  send(text) {
+    window.asked.push(JSON.parse(text));
+    super.send(text);
   }
 };
 document.addEventListener('securitypolicyviolation', ({ violatedDirective, blockedURI }) => {

@@ -1,11 +1,13 @@
-"""The first minute of a visitor: this file runs before the others, on a table where nothing has been played."""
+"""The first minute of a visitor: what a table where nothing was played says, what its forms take, and whose table it is."""
 
 from __future__ import annotations
 
-import shutil
+import re
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from urllib.parse import urlsplit
 
@@ -13,6 +15,48 @@ import pytest
 from playwright.sync_api import Browser
 
 from tests.console.browser import ConsolePage, address_of
+
+
+@contextmanager
+def console_alone(folder: Path, port: int = 0) -> Iterator[str]:
+    """Run a console without any other service; yields its page's address."""
+    folder.mkdir(mode=0o700)
+    command = [sys.executable, "-m", "services.console", "--folder", str(folder), "--port", str(port)]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as console:
+        try:
+            yield address_of(folder, 30)
+        finally:
+            console.terminate()
+
+
+@pytest.fixture
+def home() -> Iterator[Path]:
+    """A folder with a short name: sockets are made in it."""
+    with tempfile.TemporaryDirectory(prefix="vantage-test-", dir="/tmp", ignore_cleanup_errors=True) as folder:
+        yield Path(folder)
+
+
+@pytest.mark.stack
+def test_a_first_visit_says_what_this_is_and_offers_both_ways(home: Path, browser: Browser) -> None:
+    """At a console of its own: on a table that others play on, too, it is nobody's first visit."""
+    with console_alone(home / "one") as address:
+        page = ConsolePage(browser, address)
+        invitation = page.page.locator(".invitation")
+        assert "hide-and-seek" in invitation.inner_text()
+        assert invitation.get_by_role("button").all_inner_texts() == ["Watch a game", "Play the hider"]
+        assert page.page.locator(".view .empty:visible").count() == 6, "empty pictures say what they wait for"
+        invitation.get_by_role("button", name="Watch a game").click()
+        assert [request["type"] for request in page.get("window.asked")] == ["start"]
+        page.close()
+
+
+def test_whoever_is_invited_to_watch_a_game_sees_one(page: ConsolePage) -> None:
+    invitation = page.page.locator(".invitation")
+    game = "vantage.state.frames.episode?.header"
+    before = page.get(f"{game}?.episode ?? 0")
+    invitation.get_by_role("button", name=re.compile("^Watch (a|another) game$")).click()
+    page.until(f"{game}?.phase === 'running' && {game}.episode > {before}")
+    assert invitation.is_hidden()
 
 
 def test_forms_offer_what_the_console_takes_and_a_form_that_is_wrong_starts_nothing(page: ConsolePage) -> None:
@@ -26,7 +70,7 @@ def test_forms_offer_what_the_console_takes_and_a_form_that_is_wrong_starts_noth
         games.blur()
         page.press("g")
         assert page.get("document.activeElement.matches('input:invalid')"), "it is pointed at"
-    assert page.get("!vantage.state.frames.session.header.more_games && !vantage.state.frames.episode")
+    assert "start" not in [request["type"] for request in page.get("window.asked")]
     games.blur()
     page.press("h")
     limits = {"games": welcome["limits"]["games"], "steps to survive": welcome["limits"]["steps"]}
@@ -35,40 +79,17 @@ def test_forms_offer_what_the_console_takes_and_a_form_that_is_wrong_starts_noth
     assert page.page.get_by_label("name or pseudonym").get_attribute("maxlength") == str(welcome["limits"]["person"])
 
 
-def test_a_first_visit_says_what_this_is_and_offers_both_ways(page: ConsolePage) -> None:
-    invitation = page.page.locator(".invitation")
-    assert "hide-and-seek" in invitation.inner_text()
-    assert invitation.get_by_role("button").all_inner_texts() == ["Watch a game", "Play the hider"]
-    assert page.page.locator(".view .empty:visible").count() == 6, "empty pictures say what they wait for"
-    invitation.get_by_role("button", name="Watch a game").click()
-    page.until("vantage.state.frames.episode?.header.phase === 'running'")
-    assert invitation.is_hidden()
-
-
 @pytest.mark.stack
-def test_a_page_takes_no_other_deployment_for_its_own(browser: Browser) -> None:
+def test_a_page_takes_no_other_deployment_for_its_own(home: Path, browser: Browser) -> None:
     """Ports change hands: after `vantage down` another deployment may answer where an old page looks for its own."""
-    home = Path(tempfile.mkdtemp(prefix="vantage-test-", dir="/tmp"))
-    page = None
-    try:
-        for name in ("one", "other"):
-            folder = home / name
-            folder.mkdir(mode=0o700)
-            port = 0 if page is None else urlsplit(page.address).port
-            command = [sys.executable, "-m", "services.console", "--folder", str(folder), "--port", str(port)]
-            with subprocess.Popen(command, stderr=subprocess.DEVNULL) as console:
-                address = address_of(folder, 30)
-                if page is None:
-                    page = ConsolePage(browser, address)
-                    page.offline = True
-                else:
-                    page.until("!document.getElementById('banner').hidden")
-                    page.until("document.getElementById('banner').textContent.includes('another deployment answers')")
-                    assert not page.get("vantage.state.connected")
-                    page.offline = False
-                    page.open()  # who reloads wants to see it
-                console.terminate()
+    with console_alone(home / "one") as address:
+        page = ConsolePage(browser, address)
         page.offline = True
-        page.close()
-    finally:
-        shutil.rmtree(home, ignore_errors=True)
+    with console_alone(home / "other", urlsplit(address).port or 0):
+        page.until("!document.getElementById('banner').hidden")
+        page.until("document.getElementById('banner').textContent.includes('another deployment answers')")
+        assert not page.get("vantage.state.connected")
+        page.offline = False
+        page.open()  # who reloads wants to see it
+        page.offline = True
+    page.close()
