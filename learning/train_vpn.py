@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import math
+import itertools
 import os
-import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -16,20 +15,19 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from learning.board import Board
 from learning.dataset import Batch, Dataset, Samples, prefetch
-from learning.group import join_group
+from learning.group import Group, join_group
 from learning.measures import accuracy, area_under_roc, balanced_accuracy
 from learning.recipe import VPN_PRESETS, VpnRecipe, rate_factor, vpn_notes_of
 from learning.splits import Split
 from learning.tensors import in_unit_range, on_device, shown_to
-from learning.trainer import VIEW_ARCHITECTURES
-from vantage.log import source_commit
+from learning.trainer import VIEW_ARCHITECTURES, GradientTrainer
+from learning.training_run import OtherTraining, TrainingRun, given, training_samples
 from vantage.networks.inference import folded
 from vantage.networks.vector_action import VectorAction
 from vantage.networks.vpn import Vpn
 from vantage.networks.vpt_tob import ViewPredictor
-from vantage.networks.weights import card_of, fast_precision, load_any, save
+from vantage.networks.weights import ModelCard, fast_precision, load_any, save
 
 
 @dataclass(frozen=True)
@@ -76,8 +74,7 @@ class TrainVpnSettings:
 
 def resolve(settings: TrainVpnSettings) -> VpnRecipe:
     """Return the preset with what the command line changes."""
-    names = ("images", "epochs", "rate", "drop", "on")
-    changed = {name: value for name in names if (value := getattr(settings, name)) is not None}
+    changed = given(settings, "images", "epochs", "rate", "drop", "on")
     if settings.validation is not None:
         changed["held"] = settings.validation
     recipe = replace(VPN_PRESETS[settings.preset], **changed)
@@ -140,16 +137,9 @@ def streamed(views: Views, recipe: VpnRecipe, seed: int, seen: int) -> Iterator[
     pool = torch.empty(recipe.pool, 128, 128, 3, dtype=torch.uint8, device=views.device)
     caught = torch.empty(recipe.pool, device=views.device)
 
-    def rendered() -> Iterator[Batch]:
-        number = seen // (size * recipe.epochs)
-        while True:
-            generator = np.random.default_rng([seed, number])
-            drawn = views.data.draw("train", size, generator, recipe.from_start, symmetries=recipe.symmetries)
-            yield views.render(drawn)
-            number += 1
-
+    drawn = training_samples(views.data, recipe, seed, itertools.count(seen // (size * recipe.epochs)))
     generator = np.random.default_rng([seed, seen, 1])
-    for number, batch in enumerate(prefetch(rendered)):
+    for number, batch in enumerate(prefetch(lambda: map(views.render, drawn))):
         places = torch.arange(number * size, (number + 1) * size, device=views.device) % recipe.pool
         pool[places], caught[places] = views.of(batch), on_device(batch.caught, views.device).float()
         filled = min((number + 1) * size, recipe.pool)
@@ -160,21 +150,54 @@ def streamed(views: Views, recipe: VpnRecipe, seed: int, seen: int) -> Iterator[
             yield pool[chosen], caught[chosen]
 
 
-@torch.inference_mode()
-def judge(network: Vpn, views: Tensor, size: int = 256) -> NDArray[np.float32]:
-    """Return the logits of "caught" [N] for views uint8 [N, 128, 128, 3]."""
-    network.eval()
-    parts = [network(in_unit_range(views[at : at + size], torch.float32)).cpu() for at in range(0, len(views), size)]
-    network.train()
-    return torch.cat(parts).numpy()
+def turned(views: Tensor, symmetries: int, generator: np.random.Generator) -> Tensor:
+    """Return views [B, 128, 128, 3] turned by a random quarter, and with 8 symmetries perhaps flipped: the whole batch alike."""
+    views = torch.rot90(views, int(generator.integers(4)), (1, 2))
+    return views.flip(2) if symmetries == 8 and generator.random() < 0.5 else views
+
+
+class Trainer(GradientTrainer[Learnt]):
+    """A VPN and its loss."""
+
+    network: Vpn
+
+    def __init__(self, recipe: VpnRecipe, group: Group) -> None:
+        super().__init__(recipe, group, compiled=False)
+        self.network = Vpn(recipe.network).to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.parameters = list(self.network.parameters())
+        self.optimizer = torch.optim.Adam(self.parameters, recipe.rate, fused=True)
+
+    def forward(self, views: Tensor) -> Tensor:
+        """uint8 [B, 128, 128, 3] -> logits of "caught" [B]."""
+        pixels = in_unit_range(views, self.precision).contiguous(memory_format=torch.channels_last)
+        with torch.autocast(self.device.type, self.precision, enabled=self.precision != torch.float32):
+            return self.network(pixels).float()
+
+    def loss_of(self, batch: Learnt, forward: Callable[..., Tensor]) -> Tensor:
+        views, caught = batch
+        return functional.binary_cross_entropy_with_logits(forward(views), caught)
+
+    @torch.inference_mode()
+    def validate(self, views: Tensor, caught: NDArray[np.bool_], size: int = 256) -> dict[str, float]:
+        """Return what can be said of views uint8 [N, 128, 128, 3]; `loss` is the negative log-likelihood. Judged as in play."""
+        self.network.eval()
+        parts = [self.network(in_unit_range(part, torch.float32)).cpu() for part in views.split(size)]
+        self.network.train()
+        scores = torch.cat(parts).numpy()
+        return {
+            "loss": float(np.logaddexp(0.0, np.where(caught, -scores, scores)).mean()),
+            "accuracy": accuracy(scores > 0, caught),
+            "balanced accuracy": balanced_accuracy(scores > 0, caught),
+            "AUROC": area_under_roc(scores, caught),
+            "majority class": float(max(caught.mean(), 1 - caught.mean())),
+        }
 
 
 def main(settings: TrainVpnSettings) -> int:
     """Train; returns the exit code."""
     torch.set_num_threads(settings.threads or os.cpu_count() or 1)
     torch.manual_seed(settings.seed)
-    device, data, recipe = join_group().device, Dataset(settings.data), resolve(settings)
-    precision = fast_precision(device)
+    group, data, recipe = join_group(), Dataset(settings.data), resolve(settings)
     predictor, inputs, name = None, dict[str, str](), "true-vpn"
     if recipe.on == "predictions":
         predictor, predictor_card = load_any(settings.views, VIEW_ARCHITECTURES)
@@ -182,99 +205,46 @@ def main(settings: TrainVpnSettings) -> int:
         name = "vpn" if settings.views.stem == "vpt-tob" else f"{settings.views.stem}-vpn"
     to = settings.to or Path("runs", f"{name}.safetensors")
     workspace = settings.workspace or Path("runs", to.stem)
-    views = Views(data, predictor, device)
-    network = Vpn(recipe.network).to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-    optimizer = torch.optim.Adam(network.parameters(), recipe.rate, fused=True)
+    views = Views(data, predictor, group.device)
+    trainer = Trainer(recipe, group)
 
-    checkpoint = workspace / "checkpoint.pt"
     identity = {
         "recipe": asdict(replace(recipe, images=0 if recipe.stream else recipe.images)),
         "data": data.hash,
         "views": inputs,
     }
-    seen, trained, best, best_measures = 0, 0.0, math.inf, dict[str, float]()  # images learnt from, seconds
-    if settings.resume and checkpoint.exists():
-        saved = torch.load(checkpoint, map_location=device, weights_only=True)
-        if saved["identity"] != identity:
-            print(f"{checkpoint} is of another recipe, training set or predictor: choose another --workspace, or --no-resume")
-            return 1
-        network.load_state_dict(saved["network"])
-        optimizer.load_state_dict(saved["optimizer"])
-        seen, trained, best, best_measures = saved["seen"], saved["trained"], saved["best"], saved["best_measures"]
-        print(f"going on after {seen:,} images, {trained / 60:.1f} minutes", flush=True)
-    board = Board(workspace, seen)
+    total = recipe.images * recipe.epochs
+    run = TrainingRun(workspace, identity, group, total, settings.minutes, settings.report_every, unit="images")
+    try:
+        if settings.resume and (saved := run.resume("recipe, training set or predictor")):
+            trainer.restore(saved)
+    except OtherTraining as error:
+        return run.refuse(error)
 
     held_views, held_caught = views.gather("validation", recipe.held, recipe.from_start, settings.seed)
     how = "a stream of" if recipe.stream else "a fixed set of"
     what = "true views" if predictor is None else f"predictions of {settings.views}"
-    print(f"{how} {recipe.images:,} {what}, each {recipe.epochs} times; {len(held_caught):,} to validate", flush=True)
-    print(f"caught in {held_caught.mean():.1%} of the views to validate", flush=True)
+    run.say(f"{how} {recipe.images:,} {what}, each {recipe.epochs} times; {len(held_caught):,} to validate")
+    run.say(f"caught in {held_caught.mean():.1%} of the views to validate")
 
-    def progress() -> float:
-        return trained / (60 * settings.minutes) if settings.minutes else seen / (recipe.images * recipe.epochs)
+    def make_card() -> ModelCard:
+        seen = {"images seen": run.seen}
+        card = run.model_card(trainer.network, settings.preset, data, recipe, seen, settings.seed)
+        card.notes, card.inputs = vpn_notes_of(recipe), inputs
+        return card
 
-    def write_checkpoint() -> None:
-        state = {"identity": identity, "network": network.state_dict(), "optimizer": optimizer.state_dict()}
-        counts = {"seen": seen, "trained": trained, "best": best, "best_measures": best_measures}
-        torch.save({**state, **counts}, checkpoint.with_suffix(".partial"))
-        os.replace(checkpoint.with_suffix(".partial"), checkpoint)
-
-    def save_weights() -> None:
-        card = card_of(network)
-        card.preset, card.commit, card.metrics, card.inputs = settings.preset, source_commit(), best_measures, inputs
-        card.data = {key: data.manifest[key] for key in ("hash", "episodes", "hiders", "seekers", "layouts", "horizons")}
-        run = {"images seen": seen, "minutes": trained / 60, "device": str(device), "seed": settings.seed}
-        card.training = {**asdict(recipe), **run}
-        card.training.pop("network")
-        card.notes = vpn_notes_of(recipe)
-        save(network, to, card)
-
-    stream = (streamed if recipe.stream else repeated)(views, recipe, settings.seed, seen)
-    generator = np.random.default_rng([settings.seed, seen, 2])
-    loss_sum, since, clock = torch.zeros((), device=device), 0, time.monotonic()  # since the last report
-    done = progress()
-    while done < 1.0:
-        shown, truth = next(stream)
-        pixels = torch.rot90(in_unit_range(shown, precision), int(generator.integers(4)), (2, 3))  # the whole batch in one call
-        if recipe.symmetries == 8 and generator.random() < 0.5:
-            pixels = pixels.flip(3)
-        for group in optimizer.param_groups:
-            group["lr"] = recipe.rate * rate_factor(recipe, done)
-        with torch.autocast(device.type, precision, enabled=precision != torch.float32):
-            logits = network(pixels.contiguous(memory_format=torch.channels_last))
-        loss = functional.binary_cross_entropy_with_logits(logits.float(), truth)
-        loss.backward()
-        optimizer.step()
-        optimizer.zero_grad(set_to_none=True)
-        loss_sum += loss.detach() * len(truth)
-        seen, since = seen + len(truth), since + len(truth)
-        trained, clock = trained + time.monotonic() - clock, time.monotonic()
-        done = progress()
-        if since < settings.report_every and done < 1.0:
-            continue
-
-        scores = judge(network, held_views)
-        measures = {
-            "loss": float(np.logaddexp(0.0, np.where(held_caught, -scores, scores)).mean()),
-            "accuracy": accuracy(scores > 0, held_caught),
-            "balanced accuracy": balanced_accuracy(scores > 0, held_caught),
-            "AUROC": area_under_roc(scores, held_caught),
-            "majority class": float(max(held_caught.mean(), 1 - held_caught.mean())),
-        }
-        better = measures["loss"] < best
-        if better:
-            best, best_measures = measures["loss"], measures
-            save_weights()
-        write_checkpoint()
-        learnt, left = loss_sum.item() / since, trained * (1 / max(done, 1e-9) - 1) / 60
-        board.curves({**{f"validation/{key}": value for key, value in measures.items()}, "training/loss": learnt}, seen)
-        parts = "  ".join(f"{key} {value:.4f}" for key, value in measures.items())
-        print(
-            f"{100 * done:5.1f} %  {seen:>9,} images  {max(left, 0):4.1f} min left  loss {learnt:.4f}"
-            f"  validation: {parts}{'  * saved' if better else ''}",
-            flush=True,
-        )
-        loss_sum, since, clock = torch.zeros((), device=device), 0, time.monotonic()
-    board.close()
-    print(f"best validation: {best_measures}; weights in {to}")
+    stream = (streamed if recipe.stream else repeated)(views, recipe, settings.seed, run.seen)
+    generator = np.random.default_rng([settings.seed, run.seen, 2])
+    run.begin()
+    while run.progress < 1.0:
+        shown, caught = next(stream)
+        loss = trainer.learn((turned(shown, recipe.symmetries, generator), caught), rate_factor(recipe, run.progress))
+        run.count(len(caught), loss)
+        if run.report_is_due:
+            measures = trainer.validate(held_views, held_caught)
+            if better := run.keep_if_best(measures):
+                save(trainer.network, to, make_card())
+            run.write_checkpoint(trainer.state())
+            run.report(measures, better, pace=f"{run.minutes_left:4.1f} min left")
+    run.finish(to)
     return 0

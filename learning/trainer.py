@@ -1,10 +1,11 @@
-"""What a training of a view-predicting network consists of: the network, a judge, the optimiser and the losses."""
+"""What learns: any network with its optimiser; and one that predicts a view, with a judge and the losses."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from typing import Any, Literal
+from typing import Any, Generic, Literal, TypeVar
 
 import numpy as np
 import torch
@@ -15,11 +16,13 @@ from torch.nn import functional
 from learning.dataset import Batch, Target
 from learning.group import Group
 from learning.measures import area_under_roc
-from learning.recipe import Recipe
+from learning.recipe import Pace, Recipe
 from learning.tensors import Tensors, shown_to, tensors_of
 from vantage.networks.vector_action import VectorAction, VectorActionSettings
 from vantage.networks.vpt_tob import SelfPerspective, ViewPredictor, VptTob, VptTobSettings
 from vantage.networks.weights import fast_precision
+
+LearntFrom = TypeVar("LearntFrom")
 
 Model = Literal["vpt-tob", "self-perspective", "vector-action"]
 VIEW_ARCHITECTURES: tuple[Model, ...] = ("vpt-tob", "self-perspective", "vector-action")
@@ -37,6 +40,60 @@ def target_of(model: Model) -> Target:
     return "hider" if model == "self-perspective" else "seeker"
 
 
+class GradientTrainer(ABC, Generic[LearntFrom]):
+    """A network that learns by gradient descent, together with those of the other processes: all that a checkpoint holds.
+
+    Subclasses make network, parameters and optimiser.
+
+    Args:
+        recipe: how fast it learns.
+        group: gradients are averaged over it.
+        compiled: compile `forward` for learning.
+    """
+
+    network: nn.Module
+    parameters: list[nn.Parameter]
+    optimizer: torch.optim.Optimizer
+
+    def __init__(self, recipe: Pace, group: Group, compiled: bool) -> None:
+        self.recipe, self.group, self.device = recipe, group, group.device
+        self.precision = fast_precision(group.device)
+        self.forward_in_training = torch.compile(self.forward) if compiled else self.forward
+
+    @abstractmethod
+    def forward(self, *inputs: Any) -> Any:
+        """Run the network on tensors of the device."""
+
+    @abstractmethod
+    def loss_of(self, batch: LearntFrom, forward: Callable[..., Any]) -> Tensor:
+        """Return the loss of a batch; `forward` is this class's own, or compiled."""
+
+    def learn(self, batch: LearntFrom, factor: float) -> Tensor:
+        """One step of the optimiser, at the recipe's learning rate times a factor; returns the loss."""
+        for group in self.optimizer.param_groups:
+            group["lr"] = self.recipe.rate * factor
+        try:
+            loss = self.loss_of(batch, self.forward_in_training)
+            loss.backward()
+        except TorchDynamoException as error:
+            print(f"going on without compiling, it failed: {str(error).strip().splitlines()[0]}", flush=True)
+            self.forward_in_training = self.forward
+            self.optimizer.zero_grad(set_to_none=True)
+            loss = self.loss_of(batch, self.forward)
+            loss.backward()
+        self.group.average(self.parameters)
+        self.optimizer.step()
+        self.optimizer.zero_grad(set_to_none=True)
+        return loss.detach()
+
+    def state(self) -> dict[str, Any]:
+        return {"network": self.network.state_dict(), "optimizer": self.optimizer.state_dict()}
+
+    def restore(self, state: dict[str, Any]) -> None:
+        self.network.load_state_dict(state["network"])
+        self.optimizer.load_state_dict(state["optimizer"])
+
+
 class Judge(nn.Module):
     """Reads a predicted view while it is being learnt: is the hider caught in it? A small and quick VPN."""
 
@@ -51,18 +108,20 @@ class Judge(nn.Module):
         return self.layers(views).squeeze(1)
 
 
-class Trainer:
-    """Networks, optimiser and losses: all that a checkpoint holds."""
+class Trainer(GradientTrainer[Tensors]):
+    """A network that predicts a view, its judge and their losses."""
+
+    recipe: Recipe
+    network: ViewPredictor
 
     def __init__(self, model: Model, recipe: Recipe, group: Group, compiled: bool, seed: int) -> None:
+        super().__init__(recipe, group, compiled)
         torch.manual_seed(seed)
-        self.model, self.recipe, self.group, self.device = model, recipe, group, group.device
-        device, self.precision = group.device, fast_precision(group.device)
-        self.network = make_network(model, recipe.network).to(device, memory_format=torch.channels_last)  # type: ignore[call-overload]
-        self.judge = Judge().to(device, memory_format=torch.channels_last) if recipe.judge_weight else None  # type: ignore[call-overload]
+        self.model = model
+        self.network = make_network(model, recipe.network).to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
+        self.judge = Judge().to(self.device, memory_format=torch.channels_last) if recipe.judge_weight else None  # type: ignore[call-overload]
         self.parameters = [*self.network.parameters(), *(self.judge.parameters() if self.judge else ())]
         self.optimizer = torch.optim.Adam(self.parameters, recipe.rate, fused=True)
-        self.forward_in_training = torch.compile(self.forward) if compiled else self.forward
 
     def forward(self, batch: Tensors) -> tuple[Tensor, dict[str, Tensor]]:
         """Return the loss, and by name: the predicted views [B, 3, 128, 128], their mse, the logits of head and judge [B]."""
@@ -82,23 +141,8 @@ class Trainer:
                 loss = loss + weight * functional.binary_cross_entropy_with_logits(logit.float(), caught)
         return loss, found
 
-    def learn(self, batch: Tensors, factor: float) -> Tensor:
-        """One step of the optimiser; returns the loss."""
-        for group in self.optimizer.param_groups:
-            group["lr"] = self.recipe.rate * factor
-        try:
-            loss, _ = self.forward_in_training(batch)
-            loss.backward()
-        except TorchDynamoException as error:
-            print(f"going on without compiling, it failed: {str(error).strip().splitlines()[0]}", flush=True)
-            self.forward_in_training = self.forward
-            self.optimizer.zero_grad(set_to_none=True)
-            loss, _ = self.forward(batch)
-            loss.backward()
-        self.group.average(self.parameters)
-        self.optimizer.step()
-        self.optimizer.zero_grad(set_to_none=True)
-        return loss.detach()
+    def loss_of(self, batch: Tensors, forward: Callable[..., Any]) -> Tensor:
+        return forward(batch)[0]
 
     def validate(self, batches: Iterator[Batch]) -> tuple[dict[str, float], tuple[Batch, np.ndarray]]:
         """Return the mean loss and what else can be said, and the first batch with its predicted views [B, 128, 128, 3]."""
@@ -133,11 +177,9 @@ class Trainer:
         return measures, first
 
     def state(self) -> dict[str, Any]:
-        judge = self.judge.state_dict() if self.judge else None
-        return {"network": self.network.state_dict(), "judge": judge, "optimizer": self.optimizer.state_dict()}
+        return {**super().state(), "judge": self.judge.state_dict() if self.judge else None}
 
     def restore(self, state: dict[str, Any]) -> None:
-        self.network.load_state_dict(state["network"])
+        super().restore(state)
         if self.judge:
             self.judge.load_state_dict(state["judge"])
-        self.optimizer.load_state_dict(state["optimizer"])

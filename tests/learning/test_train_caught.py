@@ -145,7 +145,7 @@ def test_from_training_to_weights(
     assert read_card(settings.to).training["samples"] <= 48
     assert list((tmp_path / "run").glob("events.*"))
     assert train_caught.main(replace(settings, rate=2e-3)) == 1
-    assert "another recipe" in capsys.readouterr().out
+    assert "another recipe" in capsys.readouterr().err
 
 
 def test_the_preset_paper_has_the_encoder_and_the_recipe_of_vpt_tob() -> None:

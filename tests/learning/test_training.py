@@ -229,7 +229,7 @@ def test_from_training_to_answers_and_results(
     assert train_vpt_tob.main(replace(settings, samples=144)) == 0  # goes on from the checkpoint
     assert "going on after 96 samples" in capsys.readouterr().out
     assert train_vpt_tob.main(replace(settings, disc_weight=2.0)) == 1  # not the same training
-    assert "another recipe" in capsys.readouterr().out
+    assert "another recipe" in capsys.readouterr().err
 
     there = replace(settings, resident="on", to=tmp_path / "there.safetensors", workspace=tmp_path / "there")
     assert train_vpt_tob.main(there) == 0  # rendered in the device's memory: the same training
@@ -241,7 +241,8 @@ def test_from_training_to_answers_and_results(
     assert train_vpt_tob.main(again) == 0
     assert read_card(again.to).inputs == {"vpt-tob.safetensors": read_card(settings.to).sha256}
     assert read_card(again.to).metrics["loss"] < 1.5 * first_loss  # not from scratch
-    capsys.readouterr()
+    assert train_vpt_tob.main(replace(again, head_weight=0.0)) == 1
+    assert "holds another network than the preset" in capsys.readouterr().err
 
     learn = train_vpn.TrainVpnSettings(
         data=dataset.folder,
