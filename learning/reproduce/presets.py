@@ -50,6 +50,11 @@ class Kind:
         return (self.seeker, self.layout, self.steps) == (other.seeker, other.layout, other.steps)
 
 
+_PAPER_GAMES = (4500, 500, 500)
+_MAIN = Kind("glancing", "random", 200, _PAPER_GAMES)
+_LARGE = Kind("glancing", "random", 200, (18_000, 500, 500), "large")
+
+
 @dataclass(frozen=True)
 class Group:
     """Networks trained on the same data with the same number of samples, in one folder of weights.
@@ -88,33 +93,28 @@ class Preset:
     """The size of everything.
 
     Attributes:
-        main: kind of data that everything compared is trained and judged on.
-        others: kinds that the compared networks are judged on without having seen them.
         groups: the first one is Table I.
         examples: unseen examples for each horizon: the paper's number and one for a tight interval.
-        horizons: T of the examples.
         oracle: simulations from the true state for each of how many examples.
         starts: arenas whose value maps are judged.
         simulations: of every goal of a start, beside that with the episode's own seed.
+        main: kind of data that everything compared is trained and judged on.
+        others: kinds that the compared networks are judged on without having seen them.
+        horizons: T of the examples.
         map_horizons: T of the value maps.
         seed: of the first game; everything else is seeded by its own options' defaults.
     """
 
-    main: Kind
-    others: tuple[Kind, ...]
     groups: tuple[Group, ...]
     examples: tuple[int, ...]
-    horizons: tuple[int, ...]
     oracle: tuple[int, int]
     starts: int
     simulations: int
-    map_horizons: tuple[int, ...]
+    main: Kind = _MAIN
+    others: tuple[Kind, ...] = ()
+    horizons: tuple[int, ...] = (100, 200)
+    map_horizons: tuple[int, ...] = (200, 250, 300, 350)
     seed: int = 1
-
-
-_PAPER_GAMES = (4500, 500, 500)
-_MAIN = Kind("glancing", "random", 200, _PAPER_GAMES)
-_LARGE = Kind("glancing", "random", 200, (18_000, 500, 500), "large")
 
 
 RELEASED = Group("released", ("vpt-tob", "hazard-attention"), "compact", 0, maps=True, mapped=("vpt-tob", "hazard-attention"))
@@ -138,8 +138,6 @@ def _other_kinds(games: tuple[int, int, int]) -> tuple[Kind, ...]:
 PRESETS: dict[str, Preset] = {
     # Some 25 minutes: the paper's number of games, small networks that see few samples.
     "quick": Preset(
-        main=_MAIN,
-        others=(),
         groups=(
             Group("compared", COMPARED, "compact", 26_000, vpn=(16_000, 3), plain=True, maps=True, vpn_on_true=True),
             Group("with-head", ("vpt-tob",), "compact", 26_000, vpn=(16_000, 3)),
@@ -147,15 +145,12 @@ PRESETS: dict[str, Preset] = {
             *_rates(12_000, "hazard", batch=32),
         ),
         examples=(1_000, 3_000),
-        horizons=(100, 200),
         oracle=(20, 200),
         starts=12,
         simulations=4,
-        map_horizons=(200, 250, 300, 350),
     ),
     # Some two hours; the networks trained for longer are the released ones.
     "hours": Preset(
-        main=_MAIN,
         others=_other_kinds((300, 50, 300))[1:2],
         groups=(
             Group(
@@ -171,15 +166,12 @@ PRESETS: dict[str, Preset] = {
             RELEASED,
         ),
         examples=(1_000, 10_000),
-        horizons=(100, 200),
         oracle=(30, 800),
         starts=50,
         simulations=6,
-        map_horizons=(200, 250, 300, 350),
     ),
     # The paper's scale: a sitting on a GPU, days on two cores.
     "paper": Preset(
-        main=_MAIN,
         others=_other_kinds(_PAPER_GAMES),
         groups=(
             Group("compared", (*COMPARED, "whole-image"), "paper", 5_000_000, maps=True, vpn_on_true=True),
@@ -189,16 +181,13 @@ PRESETS: dict[str, Preset] = {
             *_rates(1_000_000, "vpt-tob"),
         ),
         examples=(1_000, 10_000),
-        horizons=(100, 200),
         oracle=(50, 1_000),
         starts=50,
         simulations=20,
-        map_horizons=(200, 250, 300, 350),
     ),
     # Seconds: the tests'.
     "smoke": Preset(
         main=Kind("glancing", "random", 40, (40, 10, 10)),
-        others=(),
         groups=(
             Group("compared", ("vpt-tob", "self-perspective", "hazard"), "compact", 128, vpn=(64, 1), maps=True),
             Group("drop-0.5", ("hazard",), "compact", 64, drop=0.5),

@@ -33,29 +33,38 @@ def simulation_seeds(seed: int, simulations: int) -> NDArray[np.int64]:
 
 
 @kernel
+def catch_steps_of_continuations(  # type: ignore[no-untyped-def]
+    lens,
+    boxes,
+    start,
+    goal_x,
+    goal_y,
+    primitives,
+    attention,
+    catch_distance,
+    steps,
+    known_seed,
+    known_until,
+    seeds,
+    minds,
+    caught_out,
+):
+    """Play one game on with every seed: catch steps to int32 [S]. See `roll_out_game`."""
+    arena, known = (boxes, ARENA_SIZE, ARENA_SIZE), (known_seed, known_until)
+    no_track = np.empty((0, 2, 3))
+    for s in range(len(seeds)):
+        caught_out[s] = roll_out_game(
+            lens, *arena, start, goal_x, goal_y, primitives, attention, catch_distance, steps, *known, seeds[s], minds, no_track
+        )
+
+
+@kernel
 def catch_steps_of_goals(lens, boxes, start, goals, attention, catch_distance, steps, known_seed, seeds, minds, caught_out):  # type: ignore[no-untyped-def]
     """Move the hider to every goal with every seed: catch steps to int32 [G, S]. See `roll_out_game`."""
-    no_primitives, no_track = np.empty(0, np.int64), np.empty((0, 2, 3))
+    game = (attention, catch_distance, steps, known_seed, 0, seeds, minds)
+    no_primitives = np.empty(0, np.int64)
     for g in range(len(goals)):
-        for s in range(len(seeds)):
-            caught_out[g, s] = roll_out_game(
-                lens,
-                boxes,
-                ARENA_SIZE,
-                ARENA_SIZE,
-                start,
-                goals[g, 0],
-                goals[g, 1],
-                no_primitives,
-                attention,
-                catch_distance,
-                steps,
-                known_seed,
-                0,
-                seeds[s],
-                minds,
-                no_track,
-            )
+        catch_steps_of_continuations(lens, boxes, start, goals[g, 0], goals[g, 1], no_primitives, *game, caught_out[g])
 
 
 def catch_steps(
@@ -78,46 +87,6 @@ def catch_steps(
         *(np.asarray(seeds, np.int64), Minds.empty(), caught),
     )
     return caught
-
-
-@kernel
-def catch_steps_of_continuations(  # type: ignore[no-untyped-def]
-    lens,
-    boxes,
-    start,
-    goal_x,
-    goal_y,
-    primitives,
-    attention,
-    catch_distance,
-    steps,
-    known_seed,
-    known_until,
-    seeds,
-    minds,
-    caught_out,
-):
-    """Play one game on with every seed: catch steps to int32 [S]. See `roll_out_game`."""
-    no_track = np.empty((0, 2, 3))
-    for s in range(len(seeds)):
-        caught_out[s] = roll_out_game(
-            lens,
-            boxes,
-            ARENA_SIZE,
-            ARENA_SIZE,
-            start,
-            goal_x,
-            goal_y,
-            primitives,
-            attention,
-            catch_distance,
-            steps,
-            known_seed,
-            known_until,
-            seeds[s],
-            minds,
-            no_track,
-        )
 
 
 def oracle_catch_steps(
