@@ -32,6 +32,16 @@ def balanced_accuracy(predicted: NDArray[np.bool_], truth: NDArray[np.bool_]) ->
     return float((predicted[truth].mean() + (~predicted[~truth]).mean()) / 2)
 
 
+def measures_of_logits(scores: NDArray[np.floating], caught: NDArray[np.bool_]) -> dict[str, float]:
+    """Return what a training tells of the logits of "caught" [N]: `loss` is the negative log-likelihood."""
+    return {
+        "loss": float(np.logaddexp(0.0, np.where(caught, -scores, scores)).mean()),
+        "accuracy": accuracy(scores > 0, caught),
+        "balanced accuracy": balanced_accuracy(scores > 0, caught),
+        "AUROC": area_under_roc(scores, caught),
+    }
+
+
 def clustered_interval(
     values: NDArray[np.floating] | NDArray[np.integer] | NDArray[np.bool_],
     cluster: NDArray[np.integer],

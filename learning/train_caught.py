@@ -14,12 +14,13 @@ from learning.caught_batch import Batch, render
 from learning.compiling import to_compile
 from learning.dataset import Dataset, prefetch
 from learning.group import Group, join_group
-from learning.measures import accuracy, area_under_roc, balanced_accuracy
+from learning.measures import measures_of_logits
 from learning.methods.survival import caught_logits
 from learning.recipe import CaughtModel, CaughtRecipe, caught_notes_of, caught_recipe, rate_factor
 from learning.tensors import in_unit_range, on_device
 from learning.trainer import GradientTrainer
-from learning.training_run import OtherTraining, TrainingRun, TrainingSettings, given, training_samples
+from learning.training_run import OtherTraining, TrainingRun, training_samples
+from learning.training_settings import TrainingSettings, given
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
 from vantage.networks.hazard import Hazard, HazardSettings, survival_loss
 from vantage.networks.hazard_attention import HazardAttention, HazardAttentionSettings
@@ -94,7 +95,7 @@ class Trainer(GradientTrainer[Batch]):
 
     @torch.inference_mode()
     def validate(self, batches: Iterator[Batch]) -> dict[str, float]:
-        """Return what can be said of "caught" at the horizons of the samples; `loss` is the negative log-likelihood."""
+        """Return what can be said of "caught" at the horizons of the samples."""
         self.network.eval()
         scores, truth = [], []
         for batch in batches:
@@ -106,13 +107,7 @@ class Trainer(GradientTrainer[Batch]):
                 scores.append(logits[:, 0])
             truth.append(batch.samples.caught)
         self.network.train()
-        score, caught = np.concatenate(scores), np.concatenate(truth)
-        return {
-            "loss": float(np.logaddexp(0.0, np.where(caught, -score, score)).mean()),
-            "accuracy": accuracy(score > 0, caught),
-            "balanced accuracy": balanced_accuracy(score > 0, caught),
-            "AUROC": area_under_roc(score, caught),
-        }
+        return measures_of_logits(np.concatenate(scores), np.concatenate(truth))
 
 
 def main(settings: TrainCaughtSettings) -> int:

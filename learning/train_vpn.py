@@ -17,12 +17,13 @@ from torch.nn import functional
 
 from learning.dataset import Batch, Dataset, Samples, prefetch
 from learning.group import Group, join_group
-from learning.measures import accuracy, area_under_roc, balanced_accuracy
+from learning.measures import measures_of_logits
 from learning.recipe import VPN_PRESETS, VpnRecipe, rate_factor, vpn_notes_of
 from learning.splits import Split
 from learning.tensors import in_unit_range, on_device, shown_to
 from learning.trainer import VIEW_ARCHITECTURES, GradientTrainer
-from learning.training_run import OtherTraining, TrainingRun, given, training_samples
+from learning.training_run import OtherTraining, TrainingRun, training_samples
+from learning.training_settings import given
 from vantage.networks.inference import folded
 from vantage.networks.vector_action import VectorAction
 from vantage.networks.vpn import Vpn
@@ -179,18 +180,12 @@ class Trainer(GradientTrainer[Learnt]):
 
     @torch.inference_mode()
     def validate(self, views: Tensor, caught: NDArray[np.bool_], size: int = 256) -> dict[str, float]:
-        """Return what can be said of views uint8 [N, 128, 128, 3]; `loss` is the negative log-likelihood. Judged as in play."""
+        """Return what can be said of views uint8 [N, 128, 128, 3], judged as in play."""
         self.network.eval()
         parts = [self.network(in_unit_range(part, torch.float32)).cpu() for part in views.split(size)]
         self.network.train()
         scores = torch.cat(parts).numpy()
-        return {
-            "loss": float(np.logaddexp(0.0, np.where(caught, -scores, scores)).mean()),
-            "accuracy": accuracy(scores > 0, caught),
-            "balanced accuracy": balanced_accuracy(scores > 0, caught),
-            "AUROC": area_under_roc(scores, caught),
-            "majority class": float(max(caught.mean(), 1 - caught.mean())),
-        }
+        return {**measures_of_logits(scores, caught), "majority class": float(max(caught.mean(), 1 - caught.mean()))}
 
 
 def main(settings: TrainVpnSettings) -> int:

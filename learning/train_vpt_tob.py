@@ -18,7 +18,8 @@ from learning.panel import draw_panel
 from learning.recipe import PRESETS, Recipe, notes_of, rate_factor
 from learning.tensors import Tensors, tensors_of
 from learning.trainer import Model, Trainer, target_of
-from learning.training_run import OtherTraining, TrainingRun, TrainingSettings, given, training_samples
+from learning.training_run import OtherTraining, TrainingRun, training_samples
+from learning.training_settings import TrainingSettings, given
 from vantage.networks.weights import ModelCard, amend, load_any, save
 
 

@@ -14,7 +14,8 @@ import torch
 from learning import training_run
 from learning.group import Group
 from learning.recipe import Recipe, VpnRecipe
-from learning.training_run import OtherTraining, TrainingRun, TrainingSettings, given, training_samples
+from learning.training_run import OtherTraining, TrainingRun, training_samples
+from learning.training_settings import TrainingSettings, given
 from vantage.networks.vpn import Vpn, VpnSettings
 
 CPU = torch.device("cpu")
