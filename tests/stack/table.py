@@ -27,9 +27,14 @@ def warm_up() -> None:
 
 
 class Table:
-    """One deployment from start to end. `started` is the outcome of `vantage up`, `took` its seconds."""
+    """One deployment from start to end. `started` is the outcome of `vantage up`, `took` its seconds.
 
-    def __init__(self, name: str = "simulation") -> None:
+    Args:
+        words: more options of `vantage up`.
+    """
+
+    def __init__(self, name: str = "simulation", *words: str) -> None:
+        self.words = words
         # Not pytest's folder: socket paths must be short.
         self.home = Path(tempfile.mkdtemp(prefix="vantage-test-", dir="/tmp"))
         self.folder = self.home / "run"
@@ -39,7 +44,7 @@ class Table:
     def __enter__(self) -> Table:
         warm_up()
         started = time.monotonic()
-        self.started = self.command("up", self.deployment.name, "--logs", str(self.logs), "--timeout", "120")
+        self.started = self.command("up", self.deployment.name, "--logs", str(self.logs), "--timeout", "120", *self.words)
         self.took = time.monotonic() - started
         return self
 
