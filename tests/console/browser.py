@@ -94,6 +94,10 @@ class ConsolePage:
         """Wait until something is so on the page."""
         wait_until(lambda: self.get(f"Boolean({expression})"), timeout, expression)
 
+    def be_painted(self) -> None:
+        """Wait until what the page knows by now is drawn: in the display frame after it came, at the latest."""
+        self.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+
     def press(self, *keys: str) -> None:
         for key in keys:
             self.page.keyboard.press(key)

@@ -54,8 +54,7 @@ def looks(page: ConsolePage) -> Iterator[str]:
         page.page.set_viewport_size({"width": width, "height": height})
         for theme in THEMES:
             page.page.emulate_media(color_scheme=theme)
-            # Drawn in the display frame after the change, at the latest.
-            page.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+            page.be_painted()
             page.until(f"document.documentElement.dataset.theme === '{theme}'")
             yield f"{width}x{height}-{theme}.png"
 

@@ -45,6 +45,8 @@ def test_a_first_visit_says_what_this_is_and_offers_both_ways(home: Path, browse
         assert "hide-and-seek" in invitation.inner_text()
         assert invitation.get_by_role("button").all_inner_texts() == ["Watch a game", "Play the hider"]
         assert page.page.locator(".view .empty:visible").count() == 6, "empty pictures say what they wait for"
+        assert page.page.locator(".prediction.blank canvas:visible").count() > 0
+        assert page.page.locator(".prediction .percent:visible").count() == 0, "nothing is called caught that was not predicted"
         invitation.get_by_role("button", name="Watch a game").click()
         assert [request["type"] for request in page.get("window.asked")] == ["start"]
         page.close()

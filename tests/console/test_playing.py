@@ -52,11 +52,10 @@ def test_a_game_is_played_by_keyboard_to_its_end_and_the_log_says_human(page: Co
     number = number_of(page)
     play_to_the_end(page)
     shown = page.text(".outcome")
-    game = game_in_log(table, number, lambda game: game.episode.phase == "ended")
+    game = game_in_log(table, number, lambda game: game.whole)
     assert game.episode.players.hider == "human"
     assert game.episode.players.person == "", "no name without the tick"
     assert game.episode.outcome in shown.lower()
-    assert game.whole
     driven = [command.primitive for _, command in sorted(game.commands["hider"].items())]
     assert driven.count("left") >= 3
     assert driven.count("forward") >= 3
@@ -68,7 +67,7 @@ def test_a_name_is_stored_only_with_consent_and_known_the_next_time(page: Consol
     page.begin_human_game(steps=8, name="Ada")
     number = number_of(page)
     play_to_the_end(page)
-    game = game_in_log(table, number, lambda game: game.episode.phase == "ended")
+    game = game_in_log(table, number, lambda game: game.whole)
     assert game.episode.players.person == "Ada"
     page.press("Enter")  # another session
     assert page.page.get_by_label("name or pseudonym").input_value() == "Ada"
@@ -148,10 +147,14 @@ def test_a_session_goes_on_and_the_last_game_can_be_taken_back(page: ConsolePage
     page.begin_human_game(games=2, steps=5)
     first = number_of(page)
     play_to_the_end(page)
+    page.be_painted()
     assert "1 of 2 games" in page.text(".outcome")
+    assert page.text(".play-facts").endswith("1 of 2")
     ahead = page.get(f"({BACKSPACE}, vantage.state.play.games.at(-1).discarded)")
     assert not ahead, "not before the console says so"
     page.until("document.querySelector('.outcome').innerText.includes('0 of 2 games')")
+    page.be_painted()
+    assert page.text(".play-facts").endswith("1 of 2"), "it is the first that is played again"
     game_in_log(table, first, lambda game: game.discarded)
     seed = page.get("vantage.state.frames.episode.header.seed")
     page.press("Enter")
@@ -161,7 +164,7 @@ def test_a_session_goes_on_and_the_last_game_can_be_taken_back(page: ConsolePage
     assert page.get("vantage.state.frames.episode.header.seed") == seed, "the same game is played again"
     page.until(BETWEEN)
     page.page.keyboard.up("ArrowLeft")
-    again = game_in_log(table, number_of(page), lambda game: game.episode.phase == "ended")
+    again = game_in_log(table, number_of(page), lambda game: game.whole)
     assert not again.discarded
     driven = [command.primitive for _, command in sorted(again.commands["hider"].items())]
     assert driven.count("left") >= len(driven) - 1 > 1
@@ -189,14 +192,14 @@ def test_a_second_person_neither_takes_nor_ends_the_game(page: ConsolePage, open
 
 
 def test_a_start_that_nobody_answers_is_taken_back(page: ConsolePage, table: Table) -> None:
-    page.ask_for_human_game()
     frozen = [table.pid_of(service) for service in ("referee", "recorder")]
+    page.ask_for_human_game()
     for pid in frozen:
         os.kill(pid, signal.SIGSTOP)
     try:
         page.until("vantage.state.play.phase === 'between'")
         assert "the referee is silent" in page.text(".outcome")
-        assert "nothing heard of the recorder" in page.text(".aside")
+        page.until("document.querySelector('.aside').innerText.includes('nothing heard of the recorder')")
     finally:
         for pid in frozen:
             os.kill(pid, signal.SIGCONT)

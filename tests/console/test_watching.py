@@ -5,6 +5,7 @@ from __future__ import annotations
 import cmath
 import math
 import os
+import re
 import signal
 from collections.abc import Callable
 
@@ -42,6 +43,7 @@ def test_a_live_game_is_seen_whole(page: ConsolePage) -> None:
     assert colors > 50, "the hider's colour picture is drawn"
     assert page.get("vantage.painted.some(([key, stamp, at]) => key === 'hider/color' && /^\\d{19}$/.test(stamp) && at > 1e12)")
     assert "running" in page.text(".chip")
+    assert re.search(r"\(every 10 steps\)\. Planned in \d+ ms\.$", page.text(".arena > .facts"))
     assert page.page.locator(".health tbody tr").count() == len(page.get("vantage.state.frames.services.header.services"))
 
 
@@ -91,7 +93,7 @@ def test_each_prediction_and_each_true_view_is_shown_under_its_own_step(page: Co
     page.until("document.querySelectorAll('.actual span[hidden]').length >= 1", timeout=20)
     page.press(" ")  # nothing is painted any more
     page.until("vantage.state.frames.episode.header.paused")
-    page.page.evaluate("() => new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
+    page.be_painted()
     found = page.page.evaluate(SHOWN_UNDER_STEPS)
     assert all(predicted for predicted, _ in found)
     assert {true for _, true in found if true is not None} == {True}
@@ -158,6 +160,12 @@ def test_goals_are_chosen_with_the_keyboard(page: ConsolePage) -> None:
     assert goal < 121, "the layout leaves a goal open above the middle"
     page.press("Enter")
     page.until(f"vantage.state.frames.prediction?.header.goal === {goal}")
+    blocked = values.index(None)
+    up, right = blocked // 11 - goal // 11, blocked % 11 - goal % 11
+    page.press(*["ArrowUp" if up > 0 else "ArrowDown"] * abs(up), *["ArrowRight" if right > 0 else "ArrowLeft"] * abs(right))
+    page.press("Enter")
+    x, y = page.get(f"vantage.state.frames.welcome.header.goals[{blocked}]")
+    assert page.text(".arena > .facts") == f"Goal ({x:.1f}, {y:.1f}) m: blocked; no way leads there."
 
 
 def test_a_reload_in_mid_game_shows_the_game_as_it_was(page: ConsolePage) -> None:
@@ -254,6 +262,9 @@ def test_pictures_that_do_not_come_are_dimmed_and_say_how_old_they_are(page: Con
     try:
         page.until("document.querySelectorAll('.view.stale').length >= 4", timeout=8)
         assert "s old" in page.text(".view.stale .age")
+        page.get("delete vantage.state.frames['hider/color']")  # as to a console that came later: it has none
+        page.until("document.querySelector('.view:not(.stale) .age')?.textContent === ''", timeout=5)
+        assert page.get("document.querySelector('.view .empty').textContent") == "waits for a picture"
     finally:
         os.kill(pid, signal.SIGCONT)
     page.until("document.querySelectorAll('.view.stale').length === 0")

@@ -157,7 +157,8 @@ export class Play {
     setText(this.seconds, total === null ? '' : `≈ ${((total - done) * period).toFixed(0)} s`);
     setText(this.step, total === null ? '–' : `${done} of ${total}`);
     setText(this.pace, period === null ? '–' : period > 0 ? `${(1 / period).toFixed(1)} steps/s` : 'as fast as you answer');
-    setText(this.number, session.options ? `${Math.min(session.counted.length + (over ? 0 : 1), session.options.games)} of ${session.options.games}` : '–');
+    const before = session.counted.length - (session.counted.includes(over) ? 1 : 0); // one that does not count is played again
+    setText(this.number, session.options ? `${Math.min(before + 1, session.options.games)} of ${session.options.games}` : '–');
     this.bar.style.width = total ? `${(100 * done) / total}%` : '0';
     const frame = state.frames['hider/color'];
     const age = frame ? (performance.now() - frame.arrived) / 1000 : 0;

@@ -4,7 +4,7 @@ import { make, panel, setText } from './element.js';
 import { onChange } from './painting.js';
 import { depthRange, paintColor, paintDepth, paintView } from './pictures.js';
 import { css, paintScale } from './scales.js';
-import { clockRuns, episode, header, patience, payload, ROBOTS, state, welcome } from './state.js';
+import { clockRuns, episode, gameOn, header, patience, payload, ROBOTS, state, welcome } from './state.js';
 
 const KINDS = {
   color: { title: 'colour', explanation: 'First-person colour picture' },
@@ -52,7 +52,12 @@ class Picture {
   /** Dim what is old: nothing new while the clock runs, or no connection. */
   check() {
     const frame = state.frames[this.key];
-    if (!frame) return;
+    if (!frame) {
+      this.root.classList.remove('stale');
+      setText(this.age, '');
+      setText(this.empty, gameOn() ? 'waits for a picture' : 'waits for a game');
+      return;
+    }
     const age = (performance.now() - frame.arrived) / 1000;
     const old = frame.header.episode !== episode()?.episode;
     const stale = !state.connected || (clockRuns() && age > patience());

@@ -119,6 +119,9 @@ export class ValueMap {
       const part = (value - range[0]) / (range[1] - range[0]);
       context.fillStyle = css(danger(part), 0.92);
       context.fillRect(x - side / 2, y - side / 2, side, side);
+      context.strokeStyle = color('box'); // the palest squares are as light as the floor
+      context.lineWidth = 1;
+      context.strokeRect(x - side / 2, y - side / 2, side, side);
       if (side < 20) return;
       context.fillStyle = part < 0.06 || part > 0.97 ? '#ffffff' : '#111111';
       context.fillText(value.toFixed(1), x, y + 0.5);
@@ -168,7 +171,7 @@ export class ValueMap {
     else {
       const checkpoints = Math.floor(found.horizon / found.checkpoint_interval);
       setText(this.line, `Hider’s goal ${nameOf(found.goal)}: ${worthOf(found.goal)}, of ${checkpoints} (every `
-        + `${found.checkpoint_interval} steps). Planned at step ${found.step} in ${(found.elapsed * 1000).toFixed(0)} ms.`);
+        + `${found.checkpoint_interval} steps). Planned in ${(found.elapsed * 1000).toFixed(0)} ms.`);
     }
   }
 }

@@ -9,7 +9,7 @@ import { Predictions } from './predictions.js';
 import { ReplayBar } from './replay_bar.js';
 import { Robots } from './robots.js';
 import { episode, gameOn, ofThisGame, replaying, seriesOn, state, welcome } from './state.js';
-import { worthOf } from './value_map.js';
+import { nameOf, worthOf } from './value_map.js';
 import { phaseOf } from './heading.js';
 
 const PATIENCE = 10000; // ms for a prediction
@@ -62,7 +62,7 @@ export class Watch {
     const plan = ofThisGame('hider/plan');
     if (!plan) this.arena.say('There is no plan yet to predict along: wait for the first step of a game.');
     else if (plan.unpredictable) this.arena.say(sentence(plan.unpredictable));
-    else if (plan.values[goal] === null) this.arena.say(`Goal ${goal}: ${worthOf(goal)}; no way leads there.`);
+    else if (plan.values[goal] === null) this.arena.say(`Goal ${nameOf(goal)}: ${worthOf(goal)}; no way leads there.`);
     else if (this.send({ type: 'predict', goal })) {
       state.goal = state.asked = goal;
       clearTimeout(this.timer);
