@@ -133,7 +133,7 @@ def test_a_pause_holds_the_steps_and_a_reload_gives_the_wheel_back(page: Console
     page.until("!vantage.state.frames.episode.header.paused")
     number = number_of(page)
     page.page.reload()
-    page.until("vantage.state.frames.episode?.header.paused || " + BETWEEN)
+    page.until(f"(vantage.state.frames.episode?.header.paused || {BETWEEN}) && {STEP} !== undefined")
     assert number_of(page) == number
     assert page.get("vantage.state.mode") == "play"
     step = page.get(STEP)
