@@ -5,6 +5,9 @@ from __future__ import annotations
 OF_NO_GAME = frozenset({"welcome", "notice"})
 """Keys of what is not forgotten with the games: without its welcome a page shows nothing."""
 
+FORGET = "forget"
+"""Place of a frame with which a page forgets: a newer one of its key, which forgets nothing, is not to take it."""
+
 
 class Outbox:
     """Never more than one frame a key, so that a slow browser costs a bounded amount of memory and sees the present."""
@@ -22,6 +25,7 @@ class Outbox:
         """Add a frame, in place of an unsent one of its key; `forget`: what else waits of games is of the past."""
         if forget:
             self._frames = {other: waiting for other, waiting in self._frames.items() if other in OF_NO_GAME}
+            key = FORGET
         elif key not in self._frames and len(self._frames) >= self.KEYS:
             del self._frames[next(iter(self._frames))]
         self._frames[key] = frame

@@ -23,7 +23,7 @@ from services.console.application import FOLDER, Application
 from services.console.events import PAGE, PageEvent, Refusals
 from services.console.frames import ALL
 from services.console.guard import Guard, needs_token, token_of
-from services.console.outbox import OF_NO_GAME
+from services.console.outbox import FORGET, OF_NO_GAME
 from services.console.protocols import protocols
 from services.console.requests import MESSAGE_LIMIT
 from vantage.deployment import CONSOLE_ADDRESS
@@ -193,9 +193,10 @@ class PageServer:
             if header.forget:
                 for other in [place for place in self._unsent if client in (ALL, place[0]) and place[1] not in OF_NO_GAME]:
                     del self._unsent[other]
+            place = client, FORGET if header.forget else header.key
             # To the end: a frame for one page and one for all pages must not overtake each other.
-            self._unsent.pop((client, header.key), None)
-            self._unsent[client, header.key] = data[4:], header.forget
+            self._unsent.pop(place, None)
+            self._unsent[place] = data[4:], header.forget
             if self._woken:
                 return
             self._woken = True

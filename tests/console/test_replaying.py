@@ -81,7 +81,7 @@ def test_a_replay_is_watched_like_a_game(log: Path, browser: Browser) -> None:
         slider.fill(f"{(middle - start) / 1e9:.2f}")
         page.until("vantage.state.frames['hider/plan']?.header.unpredictable === ''")
         assert page.get("vantage.state.frames.episode.header.players.hider") == "planner"
-        page.until("vantage.state.frames.prediction?.header.steps.length > 0", timeout=40)
+        page.until("vantage.state.frames.prediction?.header.steps.length > 0")
         jumps = page.get("vantage.state.frames.playback.header.jumps")
         # And to the end, fast: the human's game, which has no plan.
         page.page.locator(".replay button").click()

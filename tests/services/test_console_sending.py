@@ -105,7 +105,29 @@ def test_a_welcome_and_a_notice_outlive_what_is_forgotten(console: Console) -> N
     for key in ("welcome", "tick", "notice"):
         console.show(key, client=1)
     console.show("playback", forget=True)
-    assert list(console.server._unsent) == [(1, "welcome"), (1, "notice"), (0, "playback")]
+    assert list(console.server._unsent) == [(1, "welcome"), (1, "notice"), (0, "forget")]
+
+
+def test_a_page_is_told_to_forget_whatever_comes_after(console: Console) -> None:
+    """A replay says where it is twice a second; a page that is slow by then has still to hear that it jumped."""
+    outbox = Outbox()
+    outbox.put("playback", b"jumped", forget=True)
+    for frame in (b"plays", b"plays on"):
+        outbox.put("playback", frame)
+    assert [outbox.take() for _ in range(3)] == [b"jumped", b"plays on", None]
+    # And already before the event loop has come to hand them out.
+    with console.open_page() as opened:
+        with console.server._lock:
+            console.server._woken = True
+        console.show("playback", forget=True, number=1)
+        console.show("playback", number=2)
+        console.server._woken = False
+        console.show("playback", number=3)
+        heads: list[dict[str, object]] = []
+        while not heads or heads[-1].get("number") != 3:
+            heads.append(parse(opened.receive()[1])[0])
+    told = [(head["number"], head.get("forget", False)) for head in heads if head["key"] == "playback"]
+    assert told == [(1, True), (3, False)]
 
 
 def test_no_frame_comes_before_the_welcome(tmp_path: Path) -> None:
