@@ -331,17 +331,13 @@ def reproduce(preset: Preset, folder: Path) -> tuple[Runner, list[str]]:
     return runner, ran
 
 
-def begun_first(preset: Preset, folder: Path) -> str:
-    """Return the stage that a changed preset runs again first; it is not waited for."""
-    begun: list[str] = []
-
-    def launch(arguments: tuple[str, ...], output: IO[bytes], environment: dict[str, str]) -> Done:
-        begun.append(environment["VANTAGE_STAGE"])
-        return Done(1)
-
-    assert not Runner(stages_of("smoke", preset, Machine(2, False)), folder, 1, (), lambda progress, event: None, launch).run()
-    (first,) = begun
-    return first
+def states_of_a_failing_run(preset: Preset, folder: Path) -> dict[str, str]:
+    """Return the states by stage when whatever a changed preset runs again fails at once: what waits for it is blocked."""
+    runner = Runner(
+        stages_of("smoke", preset, Machine(2, False)), folder, 1, (), lambda progress, event: None, lambda *_: Done(1)
+    )
+    assert not runner.run()
+    return runner.progress.state
 
 
 @pytest.mark.timeout(1200)
@@ -372,7 +368,9 @@ def test_from_nothing_to_the_page(tiny: Preset, tmp_path: Path) -> None:
     for name in figures:
         assert f"](figures/{name})" in published and (tmp_path / "docs/figures" / name).is_file()
 
-    assert begun_first(replace(tiny, map_horizons=(40,)), folder) == "evaluate maps", "what comes before it is still good"
+    again = {"evaluate maps": "failed", "figures": "blocked", "page": "blocked"}
+    expected_states = {**dict.fromkeys(runner.stages, "kept"), **again}
+    assert states_of_a_failing_run(replace(tiny, map_horizons=(40,)), folder) == expected_states
 
 
 def test_targets_are_said_to_be_met_only_where_they_are(monkeypatch: pytest.MonkeyPatch) -> None:

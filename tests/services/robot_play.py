@@ -25,9 +25,7 @@ def at_start(seed: int = SEED, obstacles: tuple[Box, ...] = (), **changes: objec
     return table
 
 
-def play(
-    table: EmulatedTable, hider: Primitive, seeker: Primitive = "stay", step: int = 0, limit: float = 5.0
-) -> dict[str, Motion]:
+def play(table: EmulatedTable, hider: Primitive, seeker: Primitive = "stay", step: int = 0) -> dict[str, Motion]:
     """Command one step; return both reports."""
     table.motions.clear()
     for robot, primitive in (("hider", hider), ("seeker", seeker)):

@@ -9,13 +9,13 @@ import json
 import random
 import sys
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 
 import pytest
 import zenoh
 
-from schemas import CALLS, TOPICS
+from schemas import CALLS, TOPICS, InputHealth
 from tests.stack.absurd import random_bytes, shaped
 from tests.stack.table import Table, follow, stop_games, wish
 from vantage.bus.zenoh_bus import ZenohBus
@@ -67,10 +67,14 @@ def counted(table: Table) -> Counts:
     """(service, key) -> messages that the service says it got, could not decode or lost, since it started."""
     with HealthWatch(table.deployment) as watch:
         table.wait_until_reported(watch)
-        verdicts = watch.verdicts()
+        return reported(watch, lambda entry: entry.received + entry.malformed + entry.lost)
+
+
+def reported(watch: HealthWatch, count: Callable[[InputHealth], int]) -> Counts:
+    """(service, key) -> a count of what health says of that input."""
     return {
-        (verdict.process.name, entry.key): entry.received + entry.malformed + entry.lost
-        for verdict in verdicts
+        (verdict.process.name, entry.key): count(entry)
+        for verdict in watch.verdicts()
         if verdict.health
         for entry in verdict.health.inputs
     }
@@ -125,13 +129,8 @@ def wait_until_heard(table: Table, session: zenoh.Session) -> None:
 
 
 def nonsense(watch: HealthWatch) -> Counts:
-    """(service, key) -> messages of which a service that decodes says that they are malformed; a raw one hears UNDECLARED."""
-    return {
-        (verdict.process.name, entry.key): entry.received + entry.malformed if entry.key == UNDECLARED else entry.malformed
-        for verdict in watch.verdicts()
-        if verdict.health
-        for entry in verdict.health.inputs
-    }
+    """(service, key) -> messages that no service sent: malformed ones, and on UNDECLARED, which a raw service hears, all."""
+    return reported(watch, lambda entry: entry.malformed + (entry.received if entry.key == UNDECLARED else 0))
 
 
 def hears_all(service: str, key: str) -> bool:
