@@ -36,6 +36,7 @@ from schemas import Episode, Players, Rules
 from services.referee.settings import RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
+from vantage.cores import available_cores
 from vantage.log import LogWriter, RunMetadata, open_log, source_commit
 from vantage.play import SeekerPreset
 from vantage.service import Core
@@ -143,7 +144,7 @@ def main(settings: CollectSettings) -> int:
     if len(waiting) < len(blocks):
         print(f"{len(blocks) - len(waiting)} of {len(blocks)} logs are there already and are kept")
     console = Console()
-    workers = min(settings.workers or multiprocessing.cpu_count(), max(len(waiting), 1))
+    workers = min(settings.workers or available_cores(), max(len(waiting), 1))
     total = sum(map(len, waiting))
     started = time.monotonic()
     columns = (TextColumn("collecting"), BarColumn(), MofNCompleteColumn(), TextColumn("games  {task.fields[rate]}"))

@@ -25,6 +25,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, STEP, UnusableDataset
 from learning.splits import SPLITS, split_of
 from schemas import ROBOTS
+from vantage.cores import available_cores
 from vantage.log import find_logs, open_log, source_commit
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, games_of
 from vantage.log.games import unusable
@@ -261,7 +262,7 @@ def _is_empty_folder(path: Path) -> bool:
 
 
 def _map(tasks: list[tuple[list[Path], Path]], workers: int) -> Iterator[tuple[dict[str, NDArray[Any]], int, Counter[str], str]]:
-    workers = min(workers or multiprocessing.cpu_count(), len(tasks))
+    workers = min(workers or available_cores(), len(tasks))
     if workers <= 1:
         yield from map(_convert_log, tasks)
         return

@@ -29,6 +29,7 @@ from numpy.typing import NDArray
 from learning.methods.method import Questions
 from learning.splits import SPLITS, Split
 from schemas import STATE_IMAGE_SIZE
+from vantage.errors import UserError
 from vantage.networks.action_vector import VECTOR_LENGTH, render_vectors
 from vantage.networks.inputs import CHANNELS, render_inputs, render_targets
 
@@ -59,10 +60,8 @@ _SIZE = STATE_IMAGE_SIZE
 _IMAGE_BYTES = _SIZE * _SIZE
 
 
-class UnusableDataset(ValueError):
+class UnusableDataset(UserError, ValueError):
     """The folder is not a training set, or one of another version."""
-
-    for_people = True
 
 
 @dataclass(frozen=True)

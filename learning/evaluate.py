@@ -22,6 +22,7 @@ from learning.methods.method import Method
 from learning.methods.table import ABLATIONS, METHODS, load_methods
 from learning.methods.views import judge_true_views
 from learning.provenance import provenance
+from vantage.errors import UserError
 from vantage.networks.vpn import Vpn
 from vantage.networks.weights import ModelCard, load
 
@@ -60,10 +61,8 @@ class EvaluateSettings:
     """Draws the examples and the bootstrap."""
 
 
-class UnusableSettings(ValueError):
+class UnusableSettings(UserError, ValueError):
     """What was asked for cannot be evaluated."""
-
-    for_people = True
 
 
 def main(settings: EvaluateSettings) -> int:

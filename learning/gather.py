@@ -25,6 +25,7 @@ from learning.collect import main as collect
 from learning.convert import Sizes, TooFewGames, convert, messages_hash, warn_of_empty_splits
 from learning.splits import SPLITS, split_of
 from schemas import Rules
+from vantage.errors import UserError
 from vantage.log import open_log, source_commit
 from vantage.play import SeekerPreset
 
@@ -91,10 +92,8 @@ class GatherSettings:
     """Worker processes; 0 = one for each core."""
 
 
-class Refusal(ValueError):
+class Refusal(UserError, ValueError):
     """A set that cannot be made so; the text says why."""
-
-    for_people = True
 
 
 def sizes_by_hider(sizes: Sizes) -> dict[str, Sizes]:

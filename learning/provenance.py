@@ -12,6 +12,7 @@ from typing import Any
 
 import torch
 
+from vantage.cores import available_cores
 from vantage.log import source_commit
 
 
@@ -34,7 +35,7 @@ def provenance() -> dict[str, Any]:
 
 def hardware() -> dict[str, Any]:
     """Return `cpu` (model), `cores` (that this process may use), `memory GiB` and `gpus` (names, empty without one)."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = available_cores()
     memory = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES") / 2**30
     count = torch.cuda.device_count() if torch.cuda.is_available() else 0
     return {

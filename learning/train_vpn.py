@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -24,6 +23,7 @@ from learning.tensors import in_unit_range, on_device, shown_to
 from learning.trainer import VIEW_ARCHITECTURES, GradientTrainer
 from learning.training_run import OtherTraining, TrainingRun, training_samples
 from learning.training_settings import given
+from vantage.cores import available_cores
 from vantage.networks.inference import folded
 from vantage.networks.vector_action import VectorAction
 from vantage.networks.vpn import Vpn
@@ -190,7 +190,7 @@ class Trainer(GradientTrainer[Learnt]):
 
 def main(settings: TrainVpnSettings) -> int:
     """Train; returns the exit code."""
-    torch.set_num_threads(settings.threads or os.cpu_count() or 1)
+    torch.set_num_threads(settings.threads or available_cores())
     torch.manual_seed(settings.seed)
     group, data, recipe = join_group(), Dataset(settings.data), resolve(settings)
     predictor, inputs, name = None, dict[str, str](), "true-vpn"

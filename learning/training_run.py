@@ -22,6 +22,7 @@ from learning.dataset import Dataset, Samples
 from learning.group import Group
 from learning.recipe import CaughtRecipe, Recipe, VpnRecipe
 from learning.training_settings import TrainingSettings
+from vantage.errors import UserError
 from vantage.log import source_commit
 from vantage.networks.weights import ModelCard, Network, card_of
 
@@ -35,10 +36,8 @@ def training_samples(
         yield data.draw("train", recipe.batch, generator, recipe.from_start, symmetries=recipe.symmetries)
 
 
-class OtherTraining(ValueError):
+class OtherTraining(UserError, ValueError):
     """The workspace holds the checkpoint of another training; the text says what to do."""
-
-    for_people = True
 
 
 class TrainingRun:

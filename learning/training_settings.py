@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 from learning.compiling import Compile
 from learning.group import Group
 from learning.recipe import Schedule
+from vantage.cores import available_cores
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class TrainingSettings:
 
     def threads_of(self, group: Group) -> int:
         """Return the CPU threads of each process of a group."""
-        return self.threads or max(1, (os.cpu_count() or 1) // group.size)
+        return self.threads or max(1, available_cores() // group.size)
 
 
 def given(settings: object, *names: str) -> dict[str, Any]:

@@ -3,9 +3,15 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
+import io
+import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+
+from vantage.errors import explain
+from vantage.stopping import run_stoppable
 
 
 @dataclass(frozen=True, slots=True)
@@ -17,12 +23,21 @@ class Command:
         target: `module:function`; the function takes one settings dataclass, whose fields become options, and returns an exit
             code or None.
         summary: one line for `vantage --help`.
+        kept: what is kept when the command is stopped by Ctrl-C, and how to go on; the end of one line.
     """
 
     words: str
     target: str
     summary: str
+    kept: str = ""
 
+
+_LOGS = "finished logs are kept; the same command goes on"
+_NOTHING = "nothing was written; run it again"
+_CHECKPOINT = "the checkpoint is kept; the same command goes on"
+_FIGURES = "finished figures are kept; run it again for the others"
+_STAGES = "finished stages are kept; the same command goes on"
+_FILES = "finished files are kept; run it again for the others"
 
 COMMANDS = (
     Command("demo", "learning.demo:main", "play one game with trained weights, record it and draw it"),
@@ -33,21 +48,76 @@ COMMANDS = (
     Command("check", "vantage.commands:check", "look at deployments without starting them"),
     Command("play", "vantage.play:main", "play games on a running deployment"),
     Command("replay", "vantage.replay.command:main", "play a recorded log on the bus, for the console and any service"),
-    Command("gather", "learning.gather:main", "make one whole training set: games, conversion, exact split sizes"),
-    Command("collect", "learning.collect:main", "simulate games in parallel into MCAP logs"),
-    Command("convert", "learning.convert:main", "turn logs into a training set"),
-    Command("train vpt-tob", "learning.train_vpt_tob:main", "train a network that predicts a view: VPT-TOB and its baselines"),
-    Command("train vpn", "learning.train_vpn:main", "train the network that judges a predicted view"),
-    Command("train caught", "learning.train_caught:main", 'train a network that says "caught" itself: hazard, coordinate-value'),
-    Command("evaluate", "learning.evaluate:main", "accuracy of trained weights beside what needs no network"),
-    Command("evaluate maps", "learning.evaluate_maps:main", "value maps against ground truth, and the play they lead to"),
-    Command("figures", "learning.figures.command:main", "draw the figures of the paper from data, weights and results"),
-    Command("reproduce", "learning.reproduce.command:main", "redo the whole study from nothing, and write its results page"),
+    Command(
+        "gather",
+        "learning.gather:main",
+        "make one whole training set: games, conversion, exact split sizes",
+        _LOGS,
+    ),
+    Command(
+        "collect",
+        "learning.collect:main",
+        "simulate games in parallel into MCAP logs",
+        _LOGS,
+    ),
+    Command("convert", "learning.convert:main", "turn logs into a training set", _NOTHING),
+    Command(
+        "train vpt-tob",
+        "learning.train_vpt_tob:main",
+        "train a network that predicts a view: VPT-TOB and its baselines",
+        _CHECKPOINT,
+    ),
+    Command(
+        "train vpn",
+        "learning.train_vpn:main",
+        "train the network that judges a predicted view",
+        _CHECKPOINT,
+    ),
+    Command(
+        "train caught",
+        "learning.train_caught:main",
+        'train a network that says "caught" itself: hazard, coordinate-value',
+        _CHECKPOINT,
+    ),
+    Command(
+        "evaluate",
+        "learning.evaluate:main",
+        "accuracy of trained weights beside what needs no network",
+        _NOTHING,
+    ),
+    Command(
+        "evaluate maps",
+        "learning.evaluate_maps:main",
+        "value maps against ground truth, and the play they lead to",
+        _NOTHING,
+    ),
+    Command(
+        "figures",
+        "learning.figures.command:main",
+        "draw the figures of the paper from data, weights and results",
+        _FIGURES,
+    ),
+    Command(
+        "reproduce",
+        "learning.reproduce.command:main",
+        "redo the whole study from nothing, and write its results page",
+        _STAGES,
+    ),
     Command("reproduce page", "learning.reproduce.page:main", "write the results page of a reproduction"),
     Command("log info", "vantage.log_commands:info", "what is in a log"),
-    Command("log recover", "vantage.log_commands:recover", "repair a log that was cut off"),
+    Command(
+        "log recover",
+        "vantage.log_commands:recover",
+        "repair a log that was cut off",
+        _FILES,
+    ),
     Command("log verify", "learning.verify:main", "check that a log is whole, its outcomes true, its services repeatable"),
-    Command("log export", "vantage.log_commands:export", "write a log for Foxglove, Rerun or LeRobot, or as a video"),
+    Command(
+        "log export",
+        "vantage.log_commands:export",
+        "write a log for Foxglove, Rerun or LeRobot, or as a video",
+        _NOTHING,
+    ),
     Command("foxglove", "vantage.live_viewer:main", "show a running deployment in Foxglove or Lichtblick"),
     Command("table print", "vantage.table_commands:print_sheets", "PDFs at true scale for a real table: tags, board, ruler"),
     Command("table calibrate lens", "vantage.table_commands:calibrate_lens", "measure the overhead camera's lens"),
@@ -102,6 +172,9 @@ def run(command: Command, arguments: Sequence[str]) -> int:
 def main() -> None:
     """Entry point of the `vantage` script."""
     arguments = sys.argv[1:]
+    if arguments == ["--version"]:
+        print(f"vantage {importlib.metadata.version('vantage-hide-and-seek')}")
+        sys.exit(0)
     if not arguments or arguments[0] in ("-h", "--help", "help"):
         print(overview())
         sys.exit(0)
@@ -117,20 +190,27 @@ def main() -> None:
             sys.exit(0 if asked else 2)
         print(f"vantage: no command `{arguments[0]}`\n\n{overview()}", file=sys.stderr)
         sys.exit(2)
+    command, rest = found
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="replace")  # a terminal that lacks a letter must not end a command
+    sys.exit(run_stoppable(lambda: _run_explained(command, rest), f"vantage {command.words}", command.kept))
+
+
+def _run_explained(command: Command, arguments: Sequence[str]) -> int:
+    """Run a command; an error that a person can do something about becomes one line and exit code 1."""
     try:
-        sys.exit(run(*found))
-    except KeyboardInterrupt:
-        sys.exit(130)
+        return run(command, arguments)
+    except BrokenPipeError:
+        # The reader of our output has gone, as `head` does; nothing can be said any more.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except Exception as error:
-        if not _is_for_people(error):
+        line = explain(error)
+        if line is None:
             raise
-        print(f"vantage {found[0].words}: {error}", file=sys.stderr)
-        sys.exit(1)
-
-
-def _is_for_people(error: Exception) -> bool:
-    """Whether an error's text says what is wrong and what to do; any other is a fault of ours and keeps its traceback."""
-    return getattr(error, "for_people", False) or isinstance(error, FileNotFoundError | PermissionError)
+        print(f"vantage {command.words}: {line}", file=sys.stderr)
+        return 1
 
 
 if __name__ == "__main__":

@@ -22,6 +22,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from vantage.errors import UserError
+
 COMPOSE = Path(__file__).resolve().parent.parent / "compose"
 CONFIGURATION = "deployment.conf"
 DEPLOYMENT_NAME = "deployment.name"
@@ -34,10 +36,8 @@ LONGEST_FOLDER = 80
 _SPAWNED = re.compile(r"spawned: '([^']+)' with pid")
 
 
-class DeploymentError(Exception):
+class DeploymentError(UserError):
     """What went wrong and what to do, for people."""
-
-    for_people = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,6 +23,7 @@ from schemas import TOPICS
 from services.recorder.appearance import arena_appearance
 from vantage.bus import Bus, Lost, Sample
 from vantage.deployment import Deployment
+from vantage.errors import UserError
 from vantage.log.foxglove_layout import SUFFIX, as_json, layout_of
 from vantage.log.metadata import VIEWER_PREFIX
 from vantage.log.viewer import Viewer, ViewerMessage
@@ -59,10 +60,8 @@ class LiveViewer:
     """Port to listen on; 0: any free one."""
 
 
-class LiveViewerError(Exception):
+class LiveViewerError(UserError):
     """Why there is no live view, and what to do, for people."""
-
-    for_people = True
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,6 +19,7 @@ from learning.methods.machine import Machine
 from learning.methods.table import load_methods
 from learning.methods.views import PredictedViews
 from learning.provenance import provenance
+from vantage.cores import available_cores
 
 
 @dataclass(frozen=True)
@@ -63,7 +63,7 @@ def main(settings: FiguresSettings) -> int:
         read(settings.results / "accuracy.json"),
         read(settings.results / "maps.json"),
     )
-    torch.set_num_threads(settings.threads or os.cpu_count() or 1)
+    torch.set_num_threads(settings.threads or available_cores())
     methods, left_out = load_methods(METHODS, settings.weights, Machine.fastest(settings.threads))
     for line in left_out:
         print(line, file=sys.stderr)

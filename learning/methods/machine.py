@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -13,6 +12,7 @@ import torch
 from numpy.typing import NDArray
 from torch import Tensor, nn
 
+from vantage.cores import available_cores
 from vantage.networks.weights import fast_device, fast_precision
 
 AnyModule = TypeVar("AnyModule", bound=nn.Module)
@@ -39,7 +39,7 @@ class Machine:
     def fastest(cls, threads: int = 0) -> Machine:
         """Return a CUDA GPU where there is one, else the CPU; bfloat16 where it computes with it; `threads` 0 = all cores."""
         device = fast_device()
-        cores = threads or os.cpu_count() or 1
+        cores = threads or available_cores()
         return cls(device, fast_precision(device), 16 if device.type == "cpu" else 256, cores)
 
     def prepared(self, network: AnyModule, precision: torch.dtype | None = None) -> AnyModule:

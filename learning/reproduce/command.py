@@ -21,6 +21,7 @@ from rich.text import Text
 from learning.reproduce.presets import PRESETS, RELEASED
 from learning.reproduce.runner import Progress, Runner, minutes, tail
 from learning.reproduce.stages import Machine, stages_of
+from vantage.errors import UserError
 
 WEIGHTS = Path(__file__).resolve().parents[2] / "weights"
 TOLD_EVERY = 60.0  # s between lines where the output is no terminal
@@ -93,10 +94,8 @@ def main(settings: ReproduceSettings) -> int:
     return 0
 
 
-class Refusal(ValueError):
+class Refusal(UserError, ValueError):
     """A reproduction that cannot be made so; the text says why."""
-
-    for_people = True
 
 
 def given_weights(settings: ReproduceSettings, folder: Path) -> list[Path]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
@@ -18,6 +17,7 @@ from learning.roll_outs.start import Start, first_view, start_of
 from services.planner.controller import Controller
 from services.seeker.policy import PRESETS
 from vantage.compiled import kernel
+from vantage.cores import available_cores
 from vantage.world.arena import ARENA_SIZE, BACKWARD, FORWARD, GOALS, HIDER, LEFT, RIGHT, STAY, TURN
 from vantage.world.camera import Camera
 
@@ -120,7 +120,7 @@ def oracle_catch_steps(
             progress(1)
         return caught
 
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers or available_cores()) as pool:
         return np.stack(list(pool.map(judge, range(len(samples)))))
 
 

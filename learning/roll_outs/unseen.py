@@ -9,7 +9,6 @@ than the majority of such games, except by learning less of the unseen boxes tha
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
@@ -27,6 +26,7 @@ from learning.roll_outs.outcomes import (
 from learning.roll_outs.start import Start
 from services.seeker.policy import PRESETS
 from vantage.compiled import kernel
+from vantage.cores import available_cores
 from vantage.world.arena import ARENA_SIZE, GOALS, HIDER, ROBOT_RADIUS, SEEKER
 from vantage.world.camera import Camera
 from vantage.world.layout import MINIMUM_GAP, box_gap, propose_box
@@ -123,7 +123,7 @@ def imagined_catch_steps(
             progress(1)
         return caught, failed
 
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1) as pool:
+    with ThreadPoolExecutor(workers or available_cores()) as pool:
         found = list(pool.map(judge, range(len(samples))))
     return np.stack([caught for caught, _ in found]), sum(failed for _, failed in found) / (len(found) * simulations)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from learning.roll_outs.unseen import imagined_goal_steps
 from learning.splits import SPLITS, split_of
 from schemas import Rules
 from services.planner.value_map import checkpoints
+from vantage.cores import available_cores
 from vantage.world.arena import ARENA_SIZE, GOALS, ROBOT_RADIUS
 from vantage.world.motion import is_free
 
@@ -98,7 +98,7 @@ def play_out(episode_seed: int, rules: Rules, seeker: str, simulations: int) -> 
 
 def cases_of(seeds: list[int], rules: Rules, seeker: str, simulations: int, workers: int = 0) -> Iterator[Case]:
     """Yield the cases of episode seeds, in order, several at a time (the kernels release the GIL); 0 workers = one a core."""
-    with ThreadPoolExecutor(workers or os.cpu_count() or 1, "cases") as pool:
+    with ThreadPoolExecutor(workers or available_cores(), "cases") as pool:
         yield from pool.map(lambda one: play_out(one, rules, seeker, simulations), seeds)
 
 

@@ -17,6 +17,7 @@ from msgspec import Struct
 
 from schemas import CALLS, TOPICS, Call, MalformedMessage, Message, Topic, decode, encode
 from vantage.bus.expressions import check, named_keys
+from vantage.errors import UserError
 
 NAME_LIMIT = 64
 """Longest name of a participant, letters."""
@@ -38,7 +39,7 @@ class NotPublisher(Refused):
     """This participant may not publish the key, or not serve the call."""
 
 
-class CannotOpen(RuntimeError):
+class CannotOpen(UserError, RuntimeError):
     """The session cannot be opened; the text says why and what to do."""
 
 

@@ -24,6 +24,7 @@ from typing import Protocol, TypeVar
 from msgspec import structs
 
 from schemas import Control, Episode, Gap, MalformedMessage, Message
+from vantage.errors import UserError
 from vantage.log.reader import MOST_LISTED, Record
 
 WORD_TOPICS = ("episode", "control")
@@ -236,10 +237,8 @@ def unusable(game: Judged) -> str:
     return unfinished(game) or ("" if game.whole else "with messages missing")
 
 
-class NoSuchGame(Exception):
+class NoSuchGame(UserError):
     """A number does not name one game of a log; the text says which there are, for people."""
-
-    for_people = True
 
 
 class Findable(Protocol):

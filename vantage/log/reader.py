@@ -12,6 +12,7 @@ import msgspec
 from mcap.records import Channel
 
 from schemas import TOPICS, MalformedMessage, Message, decode
+from vantage.errors import UserError
 from vantage.log.file import LogFile, first_metadata
 from vantage.log.metadata import EXPORTED, GAPS, PART, REPEATED, RUN, VIEWER_PREFIX
 
@@ -20,10 +21,8 @@ MOST_LISTED = 20
 """Logs or games that an error lists."""
 
 
-class NoSuchLog(Exception):
+class NoSuchLog(UserError):
     """A name does not mean one log; the text says what there is, for people."""
-
-    for_people = True
 
 
 class BrokenLog(UserWarning):

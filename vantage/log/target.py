@@ -11,6 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from vantage.errors import UserError
+
 Progress = Callable[[str, float], None]
 """Told what is being done, and how far it is: 0 to 1."""
 
@@ -19,10 +21,8 @@ def in_silence(_what: str, _part: float) -> None:
     """Progress that nobody wants to see."""
 
 
-class ExportError(Exception):
+class ExportError(UserError):
     """Why a log cannot be exported, and what to do, for people."""
-
-    for_people = True
 
 
 class TargetExists(ExportError):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import os
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TypeVar
@@ -15,6 +14,7 @@ from torch import nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval
 
 from schemas import STATE_IMAGE_SIZE
+from vantage.cores import available_cores
 from vantage.networks.inputs import CHANNELS
 from vantage.networks.vpn import Vpn
 from vantage.networks.vpt_tob import Stage, Up, VptTob
@@ -57,7 +57,7 @@ class Inference:
         self._vpn = self._prepared(copy.deepcopy(vpn).eval())
         self.hash = ""
         self.batch = batch
-        self.threads = threads or os.cpu_count() or 1
+        self.threads = threads or available_cores()
         self.inputs: NDArray[np.uint8] = np.zeros((batch, STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, CHANNELS), np.uint8)
         self._shared = torch.from_numpy(self.inputs).permute(0, 3, 1, 2)  # the same memory, [batch, 7, 128, 128]
         self._pixels = torch.empty_like(self._shared, dtype=self.precision, device=self.device)

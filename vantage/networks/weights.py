@@ -15,6 +15,7 @@ from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
 from safetensors.torch import save as save_tensors
 
+from vantage.errors import UserError
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
 from vantage.networks.hazard import Hazard, HazardSettings
 from vantage.networks.hazard_attention import HazardAttention, HazardAttentionSettings
@@ -48,10 +49,8 @@ ARCHITECTURES: dict[str, tuple[Callable[[Any], Any], type]] = {  # network, sett
 }
 
 
-class UnusableWeights(ValueError):
+class UnusableWeights(UserError, ValueError):
     """The weights cannot be used; the text says why and what to do."""
-
-    for_people = True
 
 
 @dataclass

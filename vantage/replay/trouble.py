@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from vantage.errors import UserError
 
-class ReplayError(Exception):
+
+class ReplayError(UserError):
     """What went wrong and what to do."""
-
-    for_people = True

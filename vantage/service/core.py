@@ -8,6 +8,7 @@ from typing import Protocol
 
 from schemas import CALLS, TOPICS, Message
 from vantage.bus import Lost, Sample
+from vantage.errors import UserError
 from vantage.service.device import Captured, Write
 
 SECOND = 1_000_000_000
@@ -119,7 +120,7 @@ class Unexpected(Exception):
     """Raised by a core for a well-formed message that makes no sense here: it is counted and set aside."""
 
 
-class CannotStart(Exception):
+class CannotStart(UserError):
     """Raised while a service is made: printed as one line, exit code 1."""
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
-from vantage.bus import CannotOpen
-from vantage.service.core import CannotStart, Core
+from vantage.errors import UserError, explain
+from vantage.service.core import Core
 from vantage.service.device import Device
 from vantage.service.runtime import Runtime
 
@@ -56,8 +56,8 @@ def run(make_core: Callable[[], Core], name: str, settings: BusSettings, devices
             if hasattr(core, "close"):
                 closing.callback(core.close)
             bus = closing.enter_context(ZenohBus(name, settings.folder, settings.arena))
-        except (CannotStart, CannotOpen, ValueError, OSError) as error:
-            print(f"{name} cannot start: {error}", file=sys.stderr)
+        except (UserError, ValueError, OSError) as error:
+            print(f"{name} cannot start: {explain(error) or error}", file=sys.stderr)
             return 1
         runtime = Runtime(core, bus, devices=devices)
         with _stop_on_signal(runtime):

@@ -16,6 +16,7 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from vantage.errors import UserError
 from vantage.perception.scan import COLOR_DISTANCE, DARKEST, is_robot_color
 from vantage.world.arena import HIDER_COLOR, SEEKER_COLOR
 
@@ -57,10 +58,8 @@ class ColorCorrection(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_
         return np.clip(np.asarray(colors, dtype=np.float64) @ matrix.T + np.array(self.offset), 0.0, 255.0)
 
 
-class UnusableColors(ValueError):
+class UnusableColors(UserError, ValueError):
     """Patches from which no correction follows; the text says what is wrong and what to do."""
-
-    for_people = True
 
 
 class PatchColor(msgspec.Struct, frozen=True, kw_only=True):

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from vantage.errors import UserError
 
-class TrackingError(Exception):
+
+class TrackingError(UserError):
     """What is wrong with the table or its cameras, and what to do."""
-
-    for_people = True
 
 
 class UnusableTable(TrackingError):

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas import Intrinsics
+from vantage.errors import UserError
 from vantage.tracking.colors import ColorCorrection
 from vantage.tracking.rgbd_kernels import BLOCK, find_places, gather, sort_into_cells
 from vantage.tracking.rgbd_lens import Lens, lens_of, pixel_rays, project
@@ -44,10 +45,8 @@ Turn = tuple[float, float, float, float, float, float, float, float, float]
 Shift = tuple[float, float, float]
 
 
-class UnusableRgbdCalibration(Exception):
+class UnusableRgbdCalibration(UserError):
     """A calibration that cannot be used; the text says what is wrong and what to do."""
-
-    for_people = True
 
 
 class RgbdCalibration(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):

@@ -1,0 +1,22 @@
+"""Text that somebody else wrote, made safe to print."""
+
+from __future__ import annotations
+
+import unicodedata
+
+_NOT_PRINTED = frozenset(("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
+
+
+def printable(text: str, longest: int = 2000) -> str:
+    """Return text without anything that a terminal obeys: control codes, escape sequences, changes of direction.
+
+    Line breaks and tabs become spaces. Rich markup is not text of this kind: pass the result in a `rich.text.Text`, or through
+    `rich.markup.escape`.
+
+    Args:
+        longest: characters; what is longer ends in an ellipsis.
+    """
+    if len(text) > longest:
+        text = text[: longest - 1] + "…"
+    spaced = (" " if letter in "\n\r\t" else letter for letter in text)
+    return "".join(letter for letter in spaced if unicodedata.category(letter) not in _NOT_PRINTED)
