@@ -15,6 +15,7 @@ from vantage.bus import Bus, Reply, Sample
 from vantage.deployment import Deployment, DeploymentError
 from vantage.play import SeekerPreset, wish
 from vantage.watch import HealthWatch
+from vantage.world.arena import goal_name
 
 console = Console(highlight=False)
 
@@ -139,7 +140,7 @@ def _play(bus: Bus, ask: Control, started: float) -> Episode:
             open_goals = sum(value is not None for value in plan.values)
             console.print(
                 f"3/5 the hider has painted its value map in {plan.elapsed:.2f} s: {open_goals} open goals, "
-                f"it chooses goal {plan.goal}"
+                f"it chooses {'no goal' if plan.goal is None else goal_name(plan.goal)}"
             )
         elif isinstance(message, Tick):
             if message.step == 0:
