@@ -43,7 +43,7 @@ class Reports:
                     "age": age,
                     "uptime": health.uptime,
                     "lost": sum(each.lost for each in health.inputs),
-                    "malformed": sum(each.malformed for each in health.inputs),
+                    "bad": _bad(health),
                 }
             )
         return frame("services", {"services": rows})
@@ -60,3 +60,8 @@ class Reports:
         else:
             state, reason = "on", ""
         return frame("recording", {"state": state, "reason": reason, "lost": self._missed})
+
+
+def _bad(health: Health) -> int:
+    """Return the messages that a service could not use: malformed, making no sense, or failed to handle; as `vantage status`."""
+    return sum(each.malformed for each in health.inputs) + health.unexpected + health.failed
