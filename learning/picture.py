@@ -128,7 +128,8 @@ def draw_arena(axes: Axes, log: EpisodeLog) -> None:
         x, y, heading = track[-1]
         tip = (x + ROBOT_RADIUS * math.cos(heading), y + ROBOT_RADIUS * math.sin(heading))
         axes.plot([x, tip[0]], [y, tip[1]], color="black", linewidth=2, zorder=7)
-        above = y < 0.15
+        other = _track(log.poses["seeker" if robot == "hider" else "hider"])
+        above = y < 0.15 or (len(other) > 0 and other[-1, 1] < y)  # beside the disc, not under the other one's
         place = (x, y + (ROBOT_RADIUS + 0.012) * (1 if above else -1))
         axes.annotate(robot, place, ha="center", va="bottom" if above else "top", fontsize=10, zorder=8)
     plan = _first_plan(log)

@@ -84,8 +84,8 @@ def main(settings: FiguresSettings) -> int:
         drawn["accuracy-over-horizon"] = lambda: charts.over_horizon(accuracy)
         drawn["reliability"] = lambda: charts.reliability(accuracy)
     if ranking:
-        arrays = maps.read_maps(settings.results / "maps.npz")
-        drawn["value-maps"] = lambda: maps.value_maps(arrays, ranking["layout"])
+        if (arrays := settings.results / "maps.npz").is_file():
+            drawn["value-maps"] = lambda: maps.value_maps(maps.read_maps(arrays), ranking["layout"])
         drawn["table-2"] = lambda: charts.table_two(ranking)
         drawn["play"] = lambda: charts.play_chart(ranking)
     written = {name: settings.to / f"{name}.png" for name in CAPTIONS if name in drawn}

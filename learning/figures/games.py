@@ -226,8 +226,8 @@ def side_by_side(data: Dataset, methods: list[Method], game: Shown) -> Figure:
         axes.plot(ahead, risk, color=color_of(one.name), linewidth=2, label=title_of(one.name))
     if game.caught is not None:
         axes.axvline(game.caught, color="black", linewidth=1, linestyle="--", label="the catch")
-    axes.set_xlabel("steps ahead", fontsize=11)
-    axes.set_ylabel("risk to be caught by then, as judged at step 0, %", fontsize=11)
+    axes.set_xlabel("steps ahead, as judged at step 0", fontsize=11)
+    axes.set_ylabel("risk to be caught by then, %", fontsize=11)
     axes.set_ylim(-2, 102)
     axes.set_xlim(0, last)
     axes.grid(color="0.9")

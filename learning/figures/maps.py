@@ -20,7 +20,7 @@ from vantage.world.motion import heading_radians
 
 Arrays = dict[str, NDArray[Any]]
 CHECKPOINTS_EVERY = 10
-WANTED = ("vpt-tob", "hazard", "self-perspective", "vector-action", "coordinate-path")
+WANTED = ("vpt-tob", "hazard", "hazard-attention", "self-perspective", "vector-action", "coordinate-path")
 """Methods whose maps are shown, as far as they are there."""
 
 

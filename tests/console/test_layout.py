@@ -8,7 +8,6 @@ from collections.abc import Callable
 import pytest
 
 from tests.console.browser import ConsolePage
-from tests.console.test_watching import watch_a_game
 
 OVERLAPS = """(() => {
   const boxes = [...document.querySelectorAll('.panel, #header, #footer > *')].filter((e) => e.offsetParent)
@@ -28,14 +27,15 @@ CUT = """[...document.querySelectorAll('h2, h3, button, .field, .fact, .caption,
 @pytest.mark.parametrize(("width", "height"), [(1440, 900), (1920, 1080)])
 def test_nothing_overlaps_is_cut_or_needs_scrolling(open_page: Callable[..., ConsolePage], width: int, height: int) -> None:
     page = open_page(width=width, height=height)
-    watch_a_game(page)
-    page.until("document.querySelectorAll('.prediction:not(.blank)').length")
+    page.watch_a_game(ALL_DRAWN)
     assert page.get("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]") == [width, height]
     assert page.get(OVERLAPS) == []
     assert page.get(CUT) == []
     assert page.get("[...document.querySelectorAll('.panel')].filter((e) => e.scrollHeight > e.clientHeight + 1).length") == 0
 
 
+ALL_DRAWN = """document.querySelectorAll('.prediction:not(.blank)').length
+  && [...document.querySelectorAll('.view canvas')].every((canvas) => !canvas.hidden)"""
 SMALL = [(1024, 768), (800, 600), (640, 400), (390, 844), (360, 640)]
 """px. 640 x 400 is a screen of 1280 x 800 at 200 %."""
 NARROW = 960
@@ -57,10 +57,7 @@ def test_a_small_screen_scrolls_down_only_and_everything_can_be_seen_and_pressed
     assert page.get("document.documentElement.scrollWidth") == width, "before a game"
     assert page.get(OVERLAPS) == []
     assert page.get(HIDDEN_BY_OTHERS) == []
-    watch_a_game(page)
-    page.until("document.querySelectorAll('.prediction:not(.blank)').length")
-    page.until("[...document.querySelectorAll('.view canvas')].every((canvas) => !canvas.hidden)")
-    page.be_painted()
+    page.watch_a_game(ALL_DRAWN)
     assert page.get("document.documentElement.scrollWidth") == width
     assert page.get(OVERLAPS) == []
     assert page.get(CUT) == []
@@ -88,8 +85,7 @@ def test_on_a_small_screen_the_hider_is_played(open_page: Callable[..., ConsoleP
     assert page.get(CUT) == []
     assert page.get(HIDDEN_BY_OTHERS) == []
     page.press("Escape")
-    page.begin_human_game(steps=400, period=1.0, seed=11)
-    page.until("vantage.state.frames['hider/color'] && !document.querySelector('.own-color canvas').hidden")
+    page.hold_human_game("vantage.state.frames['hider/color'] && vantage.state.frames['hider/view']", steps=400, seed=11)
     page.press("i")
     page.be_painted()
     assert page.get("document.documentElement.scrollWidth") == width
