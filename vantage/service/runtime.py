@@ -10,6 +10,7 @@ from typing import Any
 
 from schemas import TOPICS, Episode, Health, MalformedMessage, Message
 from vantage.bus import Alive, Bus, Lost, Reply, Request, Sample
+from vantage.bus.clock import MACHINE
 from vantage.service.condition import Condition
 from vantage.service.core import (
     SECOND,
@@ -34,12 +35,11 @@ logger = logging.getLogger("vantage")
 HEALTH_PERIOD = SECOND
 LAST_WORDS = 1.0
 """Seconds that a raw service goes on with what has arrived before it was stopped."""
-_WALL_MINUS_STEADY = time.time_ns() - time.monotonic_ns()
 
 
 def steady_clock() -> int:
     """Return ns since the Unix epoch as it was when the process started: the clock that timers need never steps back."""
-    return time.monotonic_ns() + _WALL_MINUS_STEADY
+    return MACHINE.wall()
 
 
 @dataclass
