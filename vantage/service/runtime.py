@@ -66,7 +66,7 @@ class Runtime:
         declaration = self.core.declaration
         self._raw = declaration.raw
         self._outputs = frozenset(declaration.outputs)
-        self._heeds = frozenset(name for names in declaration.heeds for name in names.split("|"))
+        self._heeds = frozenset(declaration.participants)
         self._devices = {device.name: device for device in self.devices}
         self._threads = [DeviceThread(device, self.bus.post, self.clock) for device in self.devices]
         self._condition = Condition(self.core, self.clock())
@@ -75,7 +75,7 @@ class Runtime:
             self.bus.subscribe(*declaration.inputs, raw=self._raw)
         for key in declaration.serves:
             self.bus.serve(key)
-        if declaration.heeds:
+        if self._heeds:
             self.bus.watch()
 
     def turn(self, timeout: float) -> bool:
