@@ -111,7 +111,11 @@ class RefereeCore:
         if self._owner.gone_at is None or now < self._owner.gone_at:
             return ()
         self._owner.end()
-        return (Publish("control", Control(stamp=now, action="stop", request=self._series.request, reason=reasons.OWNER_GONE)),)
+        return (self._stop_of(reasons.OWNER_GONE, now),)
+
+    def _stop_of(self, reason: str, now: int) -> Publish:
+        """Return the message by which the referee stops the games that it plays, so that everybody hears of it."""
+        return Publish("control", Control(stamp=now, action="stop", request=self._series.request, reason=reason))
 
     def _on_time(self, now: int) -> Sequence[Send]:
         if self._phase is Phase.LISTENING and self._listening_since is None:
@@ -266,8 +270,12 @@ class RefereeCore:
         self._wake = now + int(self._settings.setup_patience * SECOND)
         setup = self._episode("setup", now)
         if lacking:
-            self._series.stop()  # the next ones would fare no better
-            return [setup, *self._abort(lacking, now)]
+            sends = [setup, *self._abort(lacking, now)]
+            if self._series.left != 0 and self._series.request:  # the next ones would fare no better
+                sends.append(self._stop_of(lacking, now))
+            self._series.stop()
+            self._owner.end()
+            return sends
         return (setup,)
 
     def _on_pose(self, robot: str, pose: Pose, now: int) -> Sequence[Send]:
