@@ -68,6 +68,11 @@ class Match:
         bus.watch()
 
     @property
+    def steps(self) -> int:
+        """Steps that the hider has to survive."""
+        return self._ask.rules.maximum_steps
+
+    @property
     def over(self) -> bool:
         """Whether no game is under way and none follows."""
         return self.current is None and (len(self.games) >= self._ask.games or bool(self.ended_early))

@@ -105,8 +105,8 @@ def play(match: Match, page: str = "") -> Sequence[Game]:
         TimeElapsedColumn(),
     )
     shown = 0
-    with Progress(*columns, console=console, transient=True) as progress:
-        bar: TaskID = progress.add_task("asking the referee", total=None)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        bar: TaskID = progress.add_task("asking the referee", total=match.steps)
         while not match.over:
             if stop_requested():
                 raise KeyboardInterrupt
@@ -117,7 +117,7 @@ def play(match: Match, page: str = "") -> Sequence[Game]:
                 if episode.paused:
                     doing = f"paused; drive at {page}" if page else "paused"
                 description = f"game {episode.episode} (seed {episode.seed}): {doing}"
-                progress.update(bar, description=description, completed=match.step, total=episode.rules.maximum_steps)
+                progress.update(bar, description=description, completed=match.step)
             for game in match.games[shown:]:
                 shown += 1
                 progress.console.print(sentence(game), soft_wrap=True, markup=False)
@@ -178,12 +178,11 @@ def main(settings: Settings) -> int:
             if settings.detach:
                 return _detach(match, settings, page)
             games = play(match, page if settings.hider == HUMAN else "")
-        except KeyboardInterrupt:
+        except BaseException as error:  # also the terminal's, when that is closed
             played = len(match.games)
-            match.stop("`vantage play` was ended")
-            raise KeyboardInterrupt(_how_to_go_on(settings, played)) from None
-        except BaseException:
-            match.stop("`vantage play` has failed")
+            match.stop("`vantage play` has ended")
+            if isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(_how_to_go_on(settings, played)) from None
             raise
     if match.ended_early:
         left = settings.games - len(games)
