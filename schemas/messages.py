@@ -106,6 +106,7 @@ class Episode(Message, frozen=True, kw_only=True):
     caught_step: Annotated[StepNumber | None, Meta(description="step of the catch; null unless caught")] = None
     reason: Annotated[ShortText, Meta(description="why it ended or was aborted, for people")] = ""
     paused: Annotated[bool, Meta(description="the step clock of a running game stands still; said again when it goes on")] = False
+    request: Annotated[ShortText, Meta(description="`Control.request` that asked for the game; empty: none did")] = ""
 
 
 class Tick(Message, frozen=True, kw_only=True):

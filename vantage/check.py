@@ -29,8 +29,8 @@ def _may_lack_publisher(key: str, services: Iterable[str]) -> bool:
 
 
 def _may_share(key: str) -> bool:
-    """Whether several services of a deployment may publish the key: what drives the hider changes from game to game."""
-    return TOPICS[key].publishers == HIDER
+    """Return whether several services of a deployment may publish the key: wishes, and what drives the hider."""
+    return key in PEOPLE or TOPICS[key].publishers == HIDER
 
 
 def declaration_of(service: str) -> Declaration:

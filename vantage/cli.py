@@ -47,6 +47,7 @@ COMMANDS = (
     Command("down", "vantage.commands:down", "stop a deployment"),
     Command("check", "vantage.commands:check", "look at deployments without starting them"),
     Command("play", "vantage.play:main", "play games on a running deployment"),
+    Command("stop", "vantage.play:stop", "end the games of a running deployment"),
     Command("replay", "vantage.replay.command:main", "play a recorded log on the bus, for the console and any service"),
     Command(
         "gather",

@@ -1,5 +1,6 @@
 """What the referee hears and says."""
 
+from schemas.topics import COMMAND_LINE
 from vantage.service import Declaration
 
 WORLD = ("simulator", "tracker", "robot")
@@ -12,6 +13,7 @@ DECLARATION = Declaration(
         *("control", "layout", "hider/pose", "seeker/pose", "hider/command", "seeker/command"),
         *(f"health/{service}" for service in (*WORLD, "console")),
     ),
-    outputs=("episode", "tick", "health/referee"),
+    outputs=("episode", "tick", "control", "health/referee"),
     heeds=("simulator|tracker", "simulator|robot|onboard", "seeker", "planner", "predictor", "recorder"),
+    watches=COMMAND_LINE,
 )

@@ -45,6 +45,7 @@ class RobotCore:
         self._starting: Starting | None = None
         self._stepping = Stepping(self._robots, self._settings.control, self.place_of)
         self._early: dict[str, Command | Tick] = {}  # outside a game: what may belong to one that we hear of later
+        self._request = ""
         self._trouble = ""
         self._now = 0
 
@@ -82,7 +83,12 @@ class RobotCore:
             return self._go_on(now)
         if isinstance(message, Episode):
             return self._on_episode(message, now)
-        if isinstance(message, Control) and message.action == "start":
+        if (
+            isinstance(message, Control)
+            and message.action == "start"
+            and not (message.request and message.request == self._request)
+        ):
+            self._request = message.request  # repeated, it is not a person who asks anew after an emergency stop
             for robot in self._robots.values():
                 robot.link.asked()
             return self._go_on(now)

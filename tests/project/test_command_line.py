@@ -12,7 +12,7 @@ import pytest
 
 from services.seeker.policy import PRESETS
 from vantage import cli
-from vantage.play import SeekerPreset
+from vantage.match import SeekerPreset
 
 VANTAGE = Path(sys.executable).parent / "vantage"
 
@@ -64,10 +64,15 @@ def test_help_of_a_command_is_printed_by_the_script_too() -> None:
         (("status", "--folder", "/tmp/vantage-nobody-is-here"), "vantage up simulation"),
         (("logs", "pilot"), "no service `pilot`"),
         (("play", "--folder", "/tmp/vantage-nobody-is-here"), "vantage up simulation"),
-        (("play", "--steps", "0"), "rules.maximum_steps"),
+        (("play", "--steps", "0"), "--steps must be 1 to 100000, not 0"),
+        (("play", "--games", "0"), "--games must be 1 to 1000000, not 0"),
+        (("play", "--games", "-1"), "--games must be 1 to 1000000, not -1"),
+        (("play", "--period", "nan"), "--period must be 0 to 3600, not nan"),
+        (("play", "--seed", "-1"), "--seed must be 0 to"),
+        (("stop", "--folder", "/tmp/vantage-nobody-is-here"), "vantage up simulation"),
         (("play", "--layout", "nowhere.json"), "no layout 'nowhere.json'"),
         (("play", "--seeker", "blind"), "glancing"),
-        (("demo", "--period", "-1"), "rules.step_period"),
+        (("demo", "--period", "-1"), "--period must be 0 to 3600, not -1"),
     ],
 )
 def test_mistakes_are_answered_in_one_readable_text(words: tuple[str, ...], told: str) -> None:

@@ -20,7 +20,7 @@ def aborted_at_the_first_step(*received: object) -> str:
         table.send(event)
     table.command("hider", 0)
     table.command("seeker", 0)
-    (aborted,) = table.wake()
+    (aborted,) = table.wait(*received)
     assert isinstance(aborted, Episode) and aborted.phase == "aborted" and aborted.outcome == "undecided"
     return aborted.reason
 
@@ -41,4 +41,4 @@ def test_a_long_complaint_leaves_room_for_another() -> None:
 
 def test_who_is_gone_is_named_and_its_last_words_are_not_believed() -> None:
     reason = aborted_at_the_first_step(trouble("robot", "all is well"), Changed("robot", False))
-    assert reason == "step 0 was not executed within 3 s; simulator or robot or onboard is not alive"
+    assert reason == "step 0 was not executed within 20 s; simulator or robot or onboard is not alive"

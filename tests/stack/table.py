@@ -14,7 +14,7 @@ from pathlib import Path
 from schemas import Control, Players, Rules
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.deployment import Deployment
-from vantage.play import Match
+from vantage.match import Match
 from vantage.watch import HealthWatch, Verdict
 
 VANTAGE = Path(sys.executable).parent / "vantage"

@@ -21,7 +21,7 @@ from tests.stack.table import Table, follow, stop_games, wish
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.bus.zenoh_session import configuration
 from vantage.check import declaration_of
-from vantage.play import Match
+from vantage.match import Match
 from vantage.watch import HealthWatch
 
 KEYS = tuple(TOPICS)

@@ -13,7 +13,7 @@ import pytest
 from tests.stack.table import Table, follow, stop_games, wish
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.log import find_logs, open_log
-from vantage.play import Match
+from vantage.match import Match
 from vantage.watch import HealthWatch
 
 SERVICES = ("recorder", "predictor", "referee", "simulator", "seeker", "planner", "console")

@@ -13,7 +13,7 @@ import pytest
 
 from tests.stack.table import VANTAGE, Table, follow, stop_games, wish
 from vantage.bus.zenoh_bus import ZenohBus
-from vantage.play import Match
+from vantage.match import Match
 from vantage.watch import HealthWatch
 
 client = pytest.importorskip("websockets.sync.client")

@@ -18,7 +18,7 @@ from schemas import ROBOTS, ColorImage, DepthImage, Episode, Message, Motion, Po
 from tests.stack.table import Table, follow, stop_games, wish
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.log import find_logs, open_log
-from vantage.play import Match
+from vantage.match import Match
 from vantage.watch import HealthWatch
 
 STEPS = 6

@@ -24,7 +24,7 @@ from vantage.bus.zenoh_bus import ZenohBus
 from vantage.log import LogWriter
 from vantage.log.episodes import episodes
 from vantage.log.reader import read
-from vantage.play import Match
+from vantage.match import Match
 from vantage.world.camera import Camera
 
 SEED = 11

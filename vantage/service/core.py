@@ -21,7 +21,8 @@ class Declaration:
     Attributes:
         inputs, outputs: short keys of the topic table.
         calls, serves: keys of the call table.
-        heeds: services whose coming and going the core wants to know (`Changed`); `a|b`: one of the two is enough.
+        heeds: services that this one needs, whose coming and going the core wants to know (`Changed`); `a|b`: one of the two.
+        watches: other participants whose coming and going it wants to know.
         audience: shows whatever there is: its inputs may lack a publisher in a deployment.
         raw: inputs are key expressions, and reach the core undecoded, as `vantage.bus.Sample` (the recorder).
     """
@@ -32,8 +33,14 @@ class Declaration:
     calls: tuple[str, ...] = ()
     serves: tuple[str, ...] = ()
     heeds: tuple[str, ...] = ()
+    watches: tuple[str, ...] = ()
     audience: bool = False
     raw: bool = False
+
+    @property
+    def participants(self) -> tuple[str, ...]:
+        """Everyone whose coming and going the core is told of."""
+        return (*(name for names in self.heeds for name in names.split("|")), *self.watches)
 
     def __post_init__(self) -> None:
         named = self.outputs if self.raw else self.inputs + self.outputs
@@ -71,7 +78,7 @@ class Answered:
 
 @dataclass(slots=True)
 class Changed:
-    """A heeded service came or went."""
+    """A participant that is heeded or watched came or went."""
 
     service: str
     alive: bool

@@ -10,6 +10,7 @@ from typing import Any
 
 from schemas import TOPICS, Episode, Health, MalformedMessage, Message
 from vantage.bus import Alive, Bus, Lost, Reply, Request, Sample
+from vantage.bus.clock import MACHINE
 from vantage.service.condition import Condition
 from vantage.service.core import (
     SECOND,
@@ -34,12 +35,11 @@ logger = logging.getLogger("vantage")
 HEALTH_PERIOD = SECOND
 LAST_WORDS = 1.0
 """Seconds that a raw service goes on with what has arrived before it was stopped."""
-_WALL_MINUS_STEADY = time.time_ns() - time.monotonic_ns()
 
 
 def steady_clock() -> int:
     """Return ns since the Unix epoch as it was when the process started: the clock that timers need never steps back."""
-    return time.monotonic_ns() + _WALL_MINUS_STEADY
+    return MACHINE.wall()
 
 
 @dataclass
@@ -66,7 +66,7 @@ class Runtime:
         declaration = self.core.declaration
         self._raw = declaration.raw
         self._outputs = frozenset(declaration.outputs)
-        self._heeds = frozenset(name for names in declaration.heeds for name in names.split("|"))
+        self._heeds = frozenset(declaration.participants)
         self._devices = {device.name: device for device in self.devices}
         self._threads = [DeviceThread(device, self.bus.post, self.clock) for device in self.devices]
         self._condition = Condition(self.core, self.clock())
@@ -75,7 +75,7 @@ class Runtime:
             self.bus.subscribe(*declaration.inputs, raw=self._raw)
         for key in declaration.serves:
             self.bus.serve(key)
-        if declaration.heeds:
+        if self._heeds:
             self.bus.watch()
 
     def turn(self, timeout: float) -> bool:
