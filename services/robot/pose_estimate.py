@@ -58,7 +58,7 @@ class PoseEstimate:
     """See module.
 
     Attributes:
-        seen: stamp of the last picture that showed the robot; None before the first.
+        seen: when the last picture that showed the robot was taken, own clock, ns; None before the first.
         rest: time since which the wheels have not turned; None while they do.
         frames_at_rest: pictures of the robot since then.
     """
@@ -104,7 +104,7 @@ class PoseEstimate:
         self._past.append(_Reckoned(max(stamp, newest.stamp), *place, newest.left + left, newest.right + right))
 
     def see(self, track: Track) -> None:
-        """Take a tracked pose; one that the camera did not see changes nothing."""
+        """Take a tracked pose, its stamp of the own clock; one that the camera did not see changes nothing."""
         if not track.seen or (self.seen is not None and track.stamp <= self.seen):
             return
         if not self._past:
