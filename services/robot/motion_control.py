@@ -146,7 +146,6 @@ class MotionControl:
         self._deadline += lag
         self._latest += lag
         self._stepped += lag
-        self._window.clear()  # what wheels and camera did meanwhile is not known well enough to call a robot stuck
 
     def measure(self, measurement: Measurement) -> None:
         """Take what the encoders counted."""
