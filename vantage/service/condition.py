@@ -39,10 +39,10 @@ class InputCounts:
     last: int | None = None
 
 
-def too_slow(what: str) -> str:
-    """Return the trouble of a machine whose cores do not suffice: `what` came of it, with a figure."""
+def load_text() -> str:
+    """Return how many processes want a core now, and how many cores there are."""
     cores = available_cores()
-    return f"{TOO_SLOW}: {what} (load {os.getloadavg()[0]:.0f} on {cores} core{'s' * (cores != 1)}); stop other programs"
+    return f"load {os.getloadavg()[0]:.1f} on {cores} core{'s' * (cores != 1)}"
 
 
 class Condition:
@@ -117,9 +117,11 @@ class Condition:
             if not any(self._alive.get(name, False) for name in names.split("|"))
         ]
         if self._late and now - self._late_at < LATE_LASTS:
-            troubles.append(too_slow(f"{declaration.name} ran {self._late / SECOND:.1f} s late"))
+            troubles.append(f"{TOO_SLOW}: {declaration.name} ran {self._late / SECOND:.1f} s late")
         if own := getattr(self._core, "trouble", ""):
             troubles.append(own)
+        if any(TOO_SLOW in trouble for trouble in troubles):
+            troubles.append(f"{load_text()}: stop other programs")
         inputs = []
         for key, counts in self._inputs.items():
             age = None if counts.last is None else max(0.0, (now - counts.last) / SECOND)

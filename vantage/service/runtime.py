@@ -121,6 +121,7 @@ class Runtime:
         due, self._due_back = self._due_back, None
         held_up = getattr(self.core, "held_up", None)
         if held_up is not None and due is not None and now - due > HELD_UP:
+            self._condition.woken(late=now - due, now=now)
             held_up(now - due, now)
 
     def drain(self) -> bool:
