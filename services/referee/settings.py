@@ -43,3 +43,6 @@ class RefereeSettings:
     """Seconds without a word from the console after which nobody drives a human's hider."""
     step_patience: float = 3.0
     """Seconds to wait for the poses after a step before the game is aborted."""
+    slow_patience: float = 20.0
+    """Seconds to wait for them instead, and for a robot's command a quarter of it, while a service says that this machine is too
+    slow: games slow down then."""

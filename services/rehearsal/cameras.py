@@ -69,7 +69,7 @@ class Cameras:
         return [("overhead/color", ColorImage(**size, intrinsics=self._overhead_intrinsics, data=picture.tobytes()))]
 
     def _draw_robots_view(self, exposure: Exposure, robot: str) -> Frames:
-        index = ROBOTS.index(robot)  # type: ignore[arg-type]
+        index = ROBOTS.index(robot)
         other = 1 - index
         camera, (x, y, _) = self._cameras[robot], exposure.poses[other]
         arguments = (self._boxes, exposure.poses[index], (x, y), other, self._seed, exposure.number, index)

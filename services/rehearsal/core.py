@@ -54,8 +54,8 @@ class Exposure(msgspec.Struct, frozen=True):
     camera: str
     stamp: int
     number: int
-    poses: tuple[tuple[float, float, float], tuple[float, float, float]]
-    speeds: tuple[tuple[float, float, float], tuple[float, float, float]]
+    poses: list[tuple[float, float, float]]
+    speeds: list[tuple[float, float, float]]
 
 
 class RehearsalCore:
@@ -152,5 +152,5 @@ class RehearsalCore:
             self._drawn.append(now)
             while now - self._drawn[0] > RATE_OVER:
                 self._drawn.popleft()
-        poses, speeds = (tuple(map(tuple, rows.tolist())) for rows in (self._world.poses(), self._world.speeds()))
+        poses, speeds = self._world.poses().tolist(), self._world.speeds().tolist()
         return (Write(CAMERAS, msgspec.msgpack.encode(Exposure(camera, now, self._frame, poses, speeds))),)

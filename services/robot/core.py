@@ -40,7 +40,7 @@ class RobotCore:
             if self._settings.port_of(robot) != NO_PORT:
                 self._robots[robot] = DrivenRobot(robot, self._settings)
         self._tracks: dict[str, Track] = {}  # the last that showed each robot, its stamp of the own clock
-        self._clocks = {robot: SenderClock() for robot in ROBOTS}  # the tracker's, or the camera's
+        self._clocks: dict[str, SenderClock] = {robot: SenderClock() for robot in ROBOTS}  # the tracker's, or the camera's
         self._layout: Layout | None = None
         self._episode = 0
         self._phase = _Phase.IDLE

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from schemas import TOPICS, Health, InputHealth, MalformedMessage
 from vantage.bus import Sample
 from vantage.cores import available_cores
+from vantage.printable import shortened
 from vantage.service.core import SECOND, Core
 
 STALE_PERIODS = 10
@@ -153,7 +154,7 @@ class Condition:
             inputs=tuple(inputs[:256]),
             unexpected=self.unexpected,
             failed=self.failed,
-            reason=reason[:2000],
+            reason=shortened(reason, 2000),
         )
 
     def _is_stale(self, last: int | None, rate: float, now: int) -> bool:
