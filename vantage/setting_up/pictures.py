@@ -13,6 +13,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vantage.output import write_complete
 from vantage.setting_up.trouble import TableTrouble
 from vantage.tracking.video_capture import FOURCC, RATE, CameraMode, UnusableCamera, open_camera
 
@@ -80,16 +81,18 @@ def read_picture(path: Path) -> Picture:
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Write uint8 [H, W, 3] RGB as PNG or JPEG, by the name's ending; folders are made.
+    """Write uint8 [H, W, 3] RGB as PNG or JPEG, by the name's ending, in one step; folders are made.
 
     Raises:
-        TableTrouble: it cannot be written there.
+        TableTrouble: the name is not that of a picture.
+        OSError: it cannot be written there.
     """
     if path.suffix.lower() not in PICTURES:
         raise TableTrouble(f"{path} does not name a picture: end it in .png or .jpg")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
-        raise TableTrouble(f"cannot write {path}: is the folder yours?")
+    encoded, content = cv2.imencode(path.suffix, np.ascontiguousarray(picture[..., ::-1]))
+    if not encoded:
+        raise TableTrouble(f"OpenCV does not write {path.suffix} pictures here: end {path} in .png or .jpg")
+    write_complete(path, content.tobytes())
 
 
 @contextmanager
