@@ -1,4 +1,7 @@
-"""Where pictures for setting up come from: a camera, a picture, a folder of pictures or a video. RGB throughout."""
+"""Where pictures for setting up come from: a camera, a picture, a folder of pictures or a video. RGB throughout.
+
+Files are read as the sensor took them, whatever turn their metadata ask for (`vantage.tracking.picture_file`).
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,7 @@ import numpy.typing as npt
 
 from vantage.output import write_complete
 from vantage.setting_up.trouble import TableTrouble
+from vantage.tracking.picture_file import open_video, read_pixels
 from vantage.tracking.video_capture import FOURCC, RATE, CameraMode, UnusableCamera, open_camera
 
 Picture = npt.NDArray[np.uint8]
@@ -74,10 +78,10 @@ def read_picture(path: Path) -> Picture:
     """
     if not path.is_file():
         raise TableTrouble(f"there is no picture {path}")
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    picture = read_pixels(path)
     if picture is None:
         raise TableTrouble(f"{path} cannot be read as a picture: give a PNG or JPEG file")
-    return np.ascontiguousarray(picture[..., ::-1], dtype=np.uint8)
+    return picture
 
 
 def write_picture(path: Path, picture: Picture) -> None:
@@ -121,7 +125,7 @@ def open_source(source: str, width: int, height: int, rate: float = RATE, fourcc
             raise TableTrouble(f"{path} holds no picture: put PNG or JPEG files there (it looks for {', '.join(PICTURES)})")
         yield Source(str(path), False, len(files), (View(file.name, read_picture(file)) for file in files))
     elif path.suffix.lower() in VIDEOS and path.is_file():
-        capture = cv2.VideoCapture(str(path))
+        capture = open_video(path)
         try:
             if not capture.isOpened():
                 raise TableTrouble(f"{path} cannot be read as a video: record it as MJPEG or MP4")
