@@ -117,6 +117,28 @@ class RefereeCore:
         """Return the message by which the referee stops the games that it plays, so that everybody hears of it."""
         return Publish("control", Control(stamp=now, action="stop", request=self._series.request, reason=reason))
 
+    def held_up(self, lag: int, now: int) -> None:
+        """Do not count `lag` ns in which the referee did not run, up to `now`, against those whom it waits for."""
+        if self._phase in (Phase.SETUP, Phase.COMMANDS, Phase.POSES):
+            self._wake = None if self._wake is None else self._wake + lag
+            self._deadline += lag
+            self._set_up_at += lag
+            self._commanded_at += lag
+            self._patience.held_up(lag)
+
+    def _slows_down(self, now: int) -> bool:
+        """Wait longer, up to a limit, for those who are late because this machine is too slow. Returns whether it does."""
+        if self._phase not in (Phase.SETUP, Phase.COMMANDS, Phase.POSES) or not self._troubles.too_slow():
+            return False
+        limit = self._settings.slow_patience
+        if self._phase is Phase.COMMANDS:
+            limit = 0.0 if self._series.players.hider == HUMAN else 0.25 * limit
+        since = self._set_up_at + int(self._settings.setup_patience * SECOND) if self._phase is Phase.SETUP else self._ticked_at
+        if now - since >= limit * SECOND:
+            return False
+        self._wake = now + SECOND // 2
+        return True
+
     def _on_time(self, now: int) -> Sequence[Send]:
         if self._phase is Phase.LISTENING and self._listening_since is None:
             self._listening_since = now
@@ -132,6 +154,8 @@ class RefereeCore:
             return self._begin_if_possible(now)
         if self._phase in (Phase.SETUP, Phase.POSES) and (overdue := self._overdue_at(now)) > now:
             self._wake = overdue
+            return ()
+        if self._slows_down(now):
             return ()
         if self._phase is Phase.SETUP:
             return self._give_up(f"no poses {(now - self._set_up_at) / SECOND:.0f} s after the setup", now)

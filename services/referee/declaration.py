@@ -3,7 +3,7 @@
 from schemas.topics import COMMAND_LINE
 from vantage.service import Declaration
 
-WORLD = ("simulator", "tracker", "robot")
+WORLD = ("simulator", "tracker", "robot", "rehearsal")
 """Who embodies the robots, one or the other: what they say of themselves tells people why a game was aborted."""
 
 # The console says by its health that a human could drive: games of the planner go on without it, so it is not heeded.

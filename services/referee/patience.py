@@ -25,6 +25,12 @@ class Patience:
         """An answer is waited for from now on."""
         self._limit = now + self._outage
 
+    def held_up(self, lag: int) -> None:
+        """Do not count `lag` ns in which the referee itself did not run."""
+        self._limit += lag
+        self._able_since += lag
+        self._heard = {service: heard + lag for service, heard in self._heard.items()}
+
     def hear(self, service: str, now: int) -> None:
         """Take note of a health message."""
         before = self._heard.get(service)

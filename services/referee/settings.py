@@ -47,3 +47,6 @@ class RefereeSettings:
     """Seconds for which a service that is away or silent in mid-game is waited for, where its answer is."""
     owner_patience: float = 1.0
     """Seconds within which whoever asked for games may come back to the bus, before they are stopped."""
+    slow_patience: float = 20.0
+    """Seconds to wait for them instead, and for a robot's command a quarter of it, while a service says that this machine is too
+    slow: games slow down then."""

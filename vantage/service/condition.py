@@ -7,6 +7,8 @@ from dataclasses import dataclass
 
 from schemas import TOPICS, Health, InputHealth, MalformedMessage
 from vantage.bus import Sample
+from vantage.cores import available_cores
+from vantage.printable import shortened
 from vantage.service.core import SECOND, Core
 
 STALE_PERIODS = 10
@@ -15,6 +17,13 @@ STALE_MINIMUM = 2.5
 
 TROUBLE_LASTS = 10 * SECOND
 """ns that health repeats what went wrong with one message."""
+
+TOO_SLOW = "this machine is too slow"
+"""With this the reason begins where a service cannot keep its times for want of cores; others then wait longer for it."""
+LATEST = SECOND // 2
+"""ns by which a service may be woken late before the machine is too slow."""
+LATE_LASTS = 10 * SECOND
+"""ns that health repeats that the machine was too slow."""
 
 MOST_INPUTS = 200
 """Keys that health tells apart; a raw service counts further ones together, as `**`."""
@@ -29,6 +38,12 @@ class InputCounts:
     malformed: int = 0
     lost: int = 0
     last: int | None = None
+
+
+def load_text() -> str:
+    """Return how many processes want a core now, and how many cores there are."""
+    cores = available_cores()
+    return f"load {os.getloadavg()[0]:.1f} on {cores} core{'s' * (cores != 1)}"
 
 
 class Condition:
@@ -49,6 +64,8 @@ class Condition:
         self._alive: dict[str, bool] = {}
         self._troubled_at = 0
         self._flowing_since: int | None = None
+        self._late = 0  # ns, the worst of late
+        self._late_at = 0
         self._started = now
 
     def counts_of(self, key: str, publisher: str = "") -> InputCounts:
@@ -69,6 +86,11 @@ class Condition:
     def note(self, trouble: str, now: int) -> None:
         """Something was wrong with a message; health says so for a while."""
         self.trouble, self._troubled_at = trouble, now
+
+    def woken(self, late: int, now: int) -> None:
+        """The service got a core `late` ns after it wanted one (below 0: it was in time)."""
+        if late > LATEST and (late > self._late or now - self._late_at > LATE_LASTS):
+            self._late, self._late_at = late, now
 
     def hears_of(self, name: str, alive: bool) -> bool:
         """A service came or went; return whether that is news."""
@@ -95,8 +117,12 @@ class Condition:
             for names in sorted(declaration.heeds)
             if not any(self._alive.get(name, False) for name in names.split("|"))
         ]
+        if self._late and now - self._late_at < LATE_LASTS:
+            troubles.append(f"{TOO_SLOW}: {declaration.name} ran {self._late / SECOND:.1f} s late")
         if own := getattr(self._core, "trouble", ""):
             troubles.append(own)
+        if any(TOO_SLOW in trouble for trouble in troubles):
+            troubles.append(f"{load_text()}: stop other programs")
         inputs = []
         for key, counts in self._inputs.items():
             age = None if counts.last is None else max(0.0, (now - counts.last) / SECOND)
@@ -128,7 +154,7 @@ class Condition:
             inputs=tuple(inputs[:256]),
             unexpected=self.unexpected,
             failed=self.failed,
-            reason=reason[:2000],
+            reason=shortened(reason, 2000),
         )
 
     def _is_stale(self, last: int | None, rate: float, now: int) -> bool:

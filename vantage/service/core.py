@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from schemas import CALLS, TOPICS, Message
@@ -51,10 +51,11 @@ class Declaration:
 
 @dataclass(slots=True)
 class Arrived:
-    """A message came in."""
+    """A message came in; `published`: when, ns by the sender's clock, 0 where that is unknown (see `SenderClock`)."""
 
     key: str
     message: Message
+    published: int = field(default=0, compare=False)
 
 
 @dataclass(slots=True)
@@ -134,7 +135,9 @@ class CannotStart(UserError):
 class Core(Protocol):
     """The behaviour of a service, without clock, bus or I/O.
 
-    It may have `trouble`, a text that makes its health degraded while it is not empty, and `close`, called at the end.
+    It may have `trouble`, a text that makes its health degraded while it is not empty; `close`, called at the end; and
+    `held_up(lag, now)`, called before the next event when the service did not run for `lag` ns: whatever it waits for had that
+    much less time to come.
     """
 
     @property

@@ -33,6 +33,12 @@ from vantage.service.device import Captured, Device, DeviceThread, Write
 logger = logging.getLogger("vantage")
 
 HEALTH_PERIOD = SECOND
+LONGEST_WAIT = 0.1
+"""Seconds that the loop waits for an event at most: how late it comes back tells whether the machine is too slow."""
+HELD_UP = SECOND // 10
+"""ns by which the loop may come late without its core being told."""
+MOST_BEFORE_TIME = 100
+"""Events that are handled before a core is woken, at most: what came in time is heard before time is up."""
 LAST_WORDS = 1.0
 """Seconds that a raw service goes on with what has arrived before it was stopped."""
 
@@ -60,6 +66,7 @@ class Runtime:
     _tokens: dict[int, tuple[str, int]] = field(default_factory=dict)
     _requests: dict[int, Request] = field(default_factory=dict)
     _next_health: int = 0
+    _due_back: int | None = None  # when the loop ought to be back at its start
     _stopping: bool = False
 
     def __post_init__(self) -> None:
@@ -81,26 +88,41 @@ class Runtime:
     def turn(self, timeout: float) -> bool:
         """Handle the next event, waiting at most `timeout` s for it. Returns whether there was one."""
         now = self.clock()
+        self._note_delay(now)
         if self.health and now >= self._next_health:
             self._next_health = now + HEALTH_PERIOD
             self.bus.publish(f"health/{self.core.declaration.name}", self.health_report("ok"))
         wake = self.core.wake_at()
         if wake is not None and wake <= now:
-            # A core that always wants to go on must not starve its inputs.
-            event = self.bus.receive(0.0)
-            if event is not None:
-                self._handle(event, now)
-            self._step(Woken(), now)
+            # A core that always wants to go on must not starve its inputs, nor one that was held up miss what came in time.
+            for _ in range(MOST_BEFORE_TIME):
+                if (event := self.bus.receive(0.0)) is None:
+                    break
+                self._handle(event, self.clock())
+            self._step(Woken(), self.clock())
+            self._due_back = self.clock()
             return True
         if wake is not None:
             timeout = min(timeout, (wake - now) / SECOND)
         if self.health:
             timeout = min(timeout, max(0.0, (self._next_health - now) / SECOND))
+        due = now + round(timeout * SECOND)
         event = self.bus.receive(timeout)
+        back = self.clock()
+        self._condition.woken(late=back - due, now=back)
+        self._due_back = min(due, back)
         if event is None:
             return False
-        self._handle(event, self.clock())
+        self._handle(event, back)
         return True
+
+    def _note_delay(self, now: int) -> None:
+        """Let the core know for how long it could not look: neither the machine nor its own work let it."""
+        due, self._due_back = self._due_back, None
+        held_up = getattr(self.core, "held_up", None)
+        if held_up is not None and due is not None and now - due > HELD_UP:
+            self._condition.woken(late=now - due, now=now)
+            held_up(now - due, now)
 
     def drain(self) -> bool:
         """Handle everything that waits, without waiting. Returns whether there was anything."""
@@ -121,7 +143,7 @@ class Runtime:
             thread.start()
         try:
             while not self._stopping:
-                self.turn(1.0)
+                self.turn(LONGEST_WAIT)
         finally:
             for thread in self._threads:
                 thread.stop()
@@ -186,7 +208,7 @@ class Runtime:
         counts.publisher = sample.publisher
         if type(message) is Episode:
             condition.expects_flow(message.phase == "running" and not message.paused and message.rules.step_period > 0, now)
-        self._step(Arrived(sample.key, message), now)
+        self._step(Arrived(sample.key, message, sample.published), now)
 
     def _handle_request(self, request: Request, now: int) -> None:
         counts = self._condition.counts_of(request.key)
