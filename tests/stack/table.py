@@ -14,7 +14,8 @@ from contextlib import contextmanager
 from functools import cache
 from pathlib import Path
 
-from schemas import Control, Players, Rules
+from schemas import Control, Health, Players, Rules
+from vantage.bus import Sample
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.deployment import Deployment
 from vantage.play import Match
@@ -36,12 +37,15 @@ class Table:
 
     Args:
         words: more options of `vantage up`.
+        home: folder for everything, which is kept; default: a temporary one.
     """
 
-    def __init__(self, name: str = "simulation", *words: str) -> None:
+    def __init__(self, name: str = "simulation", *words: str, home: Path | None = None) -> None:
         self.words = words
+        self._is_kept = home is not None
         # Not pytest's folder: socket paths must be short.
-        self.home = Path(tempfile.mkdtemp(prefix="vantage-test-", dir="/tmp"))
+        self.home = home or Path(tempfile.mkdtemp(prefix="vantage-test-", dir="/tmp"))
+        self.home.mkdir(exist_ok=True)
         self.folder = self.home / "run"
         self.logs = self.home / "logs"
         self.deployment = Deployment(name, self.folder)
@@ -53,7 +57,8 @@ class Table:
 
     def __exit__(self, *_: object) -> None:
         self.deployment.stop()
-        shutil.rmtree(self.home, ignore_errors=True)
+        if not self._is_kept:
+            shutil.rmtree(self.home, ignore_errors=True)
 
     def up(self) -> subprocess.CompletedProcess[str]:
         return self.command("up", self.deployment.name, "--logs", str(self.logs), "--timeout", "200", *self.words)
@@ -126,7 +131,17 @@ def follow(match: Match, until: Callable[[], bool], what: str) -> None:
 
 
 def stop_games(folder: Path) -> None:
-    """Ask the referee to stop."""
+    """Ask the referee to stop, and wait until its health shows that it was asked."""
     with ZenohBus("command-line", folder) as bus:
-        wait(lambda: bus.has_reader("control"), lambda: bus.receive(0.05), lambda: "nobody listens to control")
+        bus.subscribe("health/referee")
+        heard: list[int] = []
+
+        def listen() -> None:
+            event = bus.receive(0.2)
+            if isinstance(event, Sample) and isinstance(health := event.decode(), Health):
+                heard.append(sum(entry.received for entry in health.inputs if entry.key == "control"))
+
+        wait(lambda: bool(heard) and bus.has_reader("control"), listen, lambda: "there is no referee")
+        asked = heard[-1]
         bus.publish("control", Control(stamp=time.time_ns(), action="stop"))
+        wait(lambda: heard[-1] > asked, listen, lambda: "the referee was not asked to stop")

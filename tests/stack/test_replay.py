@@ -17,7 +17,7 @@ import pytest
 
 from learning.in_process import play
 from learning.process_replay import without_clock
-from schemas import Control, Episode, Health, Message, Plan, Playback, Rules, Tick
+from schemas import Control, Episode, Health, Message, Playback, Rules, Tick
 from services.planner.core import PlannerCore
 from services.predictor.__main__ import make_core
 from services.predictor.core import PredictorSettings
@@ -180,15 +180,25 @@ def starts(log: Path) -> list[float]:
     return moments(log, lambda message: isinstance(message, Episode) and message.phase == "setup")
 
 
+def tick_of(log: Path, game: int, step: int) -> float:
+    """Seconds after the log's first message of a tick: what the planner needs for this step is then the newest, to the ns."""
+    (moment,) = moments(log, lambda message: isinstance(message, Tick) and (message.episode, message.step) == (game, step))
+    return moment
+
+
+def plans(listener: Listener, since: int) -> list[tuple[int, int]]:
+    """(episode, step) of what the planner planned."""
+    return [(plan.episode, plan.step) for plan in listener.said("hider/plan", since)]
+
+
 @pytest.mark.usefixtures("services")
 def test_the_live_planner_says_what_was_recorded(log: Path, folder: Path, listener: Listener) -> None:
     """It plans while the replay stands at the first step of each game, so that it does not matter how long that takes."""
-    first_ticks = moments(log, lambda message: isinstance(message, Tick) and message.step == 0)
     with replay(log, folder, "--paused", "--once") as process:
         for number in range(1, GAMES + 1):
             listener.until_it_stands()
-            listener.seek(first_ticks[number - 1] + 0.01)
-            listener.until(lambda n=number: any(plan.episode == n for plan in listener.said("hider/plan")), "a plan")
+            listener.seek(tick_of(log, number, 0))
+            listener.until(lambda n=number: len(plans(listener, 0)) == n, "a plan")
             listener.wish(action="resume", speed=QUICK)
             over = number * STEPS
             listener.until(lambda n=over: len(listener.said("hider/command")) >= n, "the commands of a game")
@@ -208,16 +218,13 @@ def test_it_pauses_jumps_hurries_and_everybody_follows(log: Path, folder: Path, 
     with replay(log, folder, "--paused", "--game", "2") as process:
         listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", "it waits")
         assert listener.playback is not None and listener.playback.position == pytest.approx(games[1], abs=1e-3)
-        # Back and forth, while it plays: into the middle of a game the planner joins there.
-        listener.wish(action="resume", speed=1.0)
-        for game, later in ((1, 2.0), (0, 2.0), (1, 1.0), (0, 3.0)):
-            since = listener.seek(games[game] + later)
-            listener.until(
-                lambda s=since, n=game + 1: any(plan.episode == n for plan in listener.said("hider/plan", s)),
-                "the planner plans in the game sought",
-            )
-            plan = next(plan for plan in listener.said("hider/plan", since) if plan.episode == game + 1)
-            assert isinstance(plan, Plan) and plan.step >= later / 0.25 - 1
+        # Back and forth, into the middle of games: the planner joins there, while the replay stands.
+        for game, step in ((2, 8), (1, 8), (2, 4), (1, 12)):
+            since = listener.seek(tick_of(log, game, step))
+            place = [(game, step)]
+            listener.until(lambda s=since, p=place: plans(listener, s) == p, "the planner plans in the game sought")
+        since = listener.wish(action="resume", speed=1.0)
+        listener.until(lambda: bool(listener.said("tick", since)), "it plays")
         # A pause holds the stream, and the referee says so.
         since = listener.wish(action="pause")
         at = listener.until_it_stands()
