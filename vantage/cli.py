@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import inspect
 import io
 import os
 import sys
-from collections.abc import Sequence
+import typing
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from vantage.errors import explain
 from vantage.stopping import run_stoppable
@@ -155,18 +158,29 @@ def find(arguments: Sequence[str]) -> tuple[Command, Sequence[str]] | None:
     return None
 
 
-def run(command: Command, arguments: Sequence[str]) -> int:
-    """Parse the arguments into the command's settings and run it. Returns the exit code."""
-    import inspect
-    import typing
+def parse(command: Command, arguments: Sequence[str]) -> tuple[Callable[[Any], int | None], Any]:
+    """Return the command's function and the settings that the arguments are parsed into.
 
+    Raises:
+        SystemExit: they are refused, or ask for help.
+    """
     import tyro
 
+    function, kind = settings_of(command)
+    return function, tyro.cli(kind, args=list(arguments), prog=f"vantage {command.words}", description=inspect.getdoc(kind))
+
+
+def settings_of(command: Command) -> tuple[Callable[[Any], int | None], type]:
+    """Return the command's function and the dataclass whose fields are its options."""
     module, _, name = command.target.partition(":")
     function = getattr(importlib.import_module(module), name)
     (parameter,) = inspect.signature(function).parameters
-    kind = typing.get_type_hints(function)[parameter]
-    settings = tyro.cli(kind, args=list(arguments), prog=f"vantage {command.words}", description=inspect.getdoc(kind))
+    return function, typing.get_type_hints(function)[parameter]
+
+
+def run(command: Command, arguments: Sequence[str]) -> int:
+    """Parse the arguments into the command's settings and run it. Returns the exit code."""
+    function, settings = parse(command, arguments)
     return int(function(settings) or 0)
 
 

@@ -29,7 +29,7 @@ from vantage.service import SECOND, Device, DeviceLost, steady_clock
 SHADES = (40, 120, 200)
 
 
-def frames_of(device: Device, limit: float = 10.0) -> tuple[list[Any], list[float], str]:
+def frames_of(device: Device, limit: float = 120.0) -> tuple[list[Any], list[float], str]:
     """Read a device until it is lost: values, seconds at which they came, and the reason."""
     values, times = [], []
     started = time.monotonic()
