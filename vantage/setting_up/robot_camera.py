@@ -12,6 +12,7 @@ import cv2
 import msgspec
 import numpy as np
 import numpy.typing as npt
+from numpy.typing import NDArray
 
 from vantage.setting_up.trouble import TableTrouble
 from vantage.tracking.colors import ColorCorrection
