@@ -4,6 +4,7 @@ A core has no clock, no bus and no I/O: `step` turns one received event and the 
 decodes at the door, counts what was malformed, lost or unexpected, reports health once a second and stops on SIGTERM.
 """
 
+from vantage.service.condition import bad_messages
 from vantage.service.core import (
     SECOND,
     Answer,
@@ -52,6 +53,7 @@ __all__ = [
     "Unexpected",
     "Woken",
     "Write",
+    "bad_messages",
     "run",
     "run_in_process",
     "steady_clock",

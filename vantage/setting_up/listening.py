@@ -51,14 +51,14 @@ class Heard:
         seconds: for how long.
         streams: by topic.
         ended: ns since the Unix epoch.
-        health: last health of each service.
+        health: last health of each service, and when it came, s after the beginning on the listener's own clock.
         seen: for each robot, whether each track was seen (True) or predicted.
     """
 
     seconds: float = 0.0
     streams: dict[str, Stream] = field(default_factory=dict)
     ended: int = 0
-    health: dict[str, Health] = field(default_factory=dict)
+    health: dict[str, tuple[Health, float]] = field(default_factory=dict)
     seen: dict[str, list[bool]] = field(default_factory=lambda: {robot: [] for robot in ROBOTS})
 
     def last_picture(self, key: str) -> Picture | None:
@@ -115,7 +115,7 @@ def take(heard: Heard, sample: Sample, passed: float, now: int) -> None:
         return
     age = max(0.0, (now - message.stamp) / 1e9)
     if isinstance(message, Health):
-        heard.health[message.service] = message
+        heard.health[message.service] = message, passed
     stream = heard.streams.setdefault(sample.key, Stream())
     stream.last = message
     if passed >= _LOSE_FIRST:
@@ -135,9 +135,8 @@ def judge_heard(heard: Heard, deployment: str, processes: list[Process], obstacl
     """
     verdicts = []
     for process in processes:
-        health = heard.health.get(process.name)
-        age = 0.0 if health is None else (heard.ended - health.stamp) / 1e9
-        verdicts.append(_service(judge(process, health, age), deployment))
+        health, arrived = heard.health.get(process.name, (None, 0.0))
+        verdicts.append(_service(judge(process, health, heard.seconds + _LOSE_FIRST - arrived), deployment))
     verdicts += [_rate(heard, key) for key in sorted(heard.streams) if _is_stream(key)]
     for robot in ROBOTS:
         verdicts += _track(heard, robot)
