@@ -195,13 +195,16 @@ def down(settings: Down) -> int:
     configuration_of(settings.deployment)  # a misspelt name must not stop another deployment
     deployment = settings.find()
     stopped = deployment.stop()
-    orphans = f"{len(stopped.orphans)} service{'' if len(stopped.orphans) == 1 else 's'} ({', '.join(stopped.orphans)})"
-    if stopped.supervisor and stopped.orphans:
-        console.print(f"{settings.deployment} is down; {orphans} outlived supervisord and had to be ended", soft_wrap=True)
+    count = len(stopped.orphans)
+    orphans = f"{count} service{'' if count == 1 else 's'} ({', '.join(stopped.orphans)})"
+    were = "was" if count == 1 else "were"
+    if stopped.supervisor and count:
+        console.print(f"{settings.deployment} is down; {orphans} outlived supervisord and {were} ended", soft_wrap=True)
     elif stopped.supervisor:
         console.print(f"{settings.deployment} is down")
-    elif stopped.orphans:
-        console.print(f"{settings.deployment} is down: supervisord was gone, {orphans} still ran and were ended", soft_wrap=True)
+    elif count:
+        ended = f"supervisord was gone, {orphans} still ran and {were} ended"
+        console.print(f"{settings.deployment} is down: {ended}", soft_wrap=True)
     else:
         console.print(f"{settings.deployment} was not up in {deployment.folder}", soft_wrap=True, markup=False)
     return 0

@@ -40,7 +40,9 @@ LONGEST_FOLDER = 80
 STOP_PATIENCE = 20.0
 """Seconds that supervisord may take to end all services and itself."""
 ORPHAN_PATIENCE = 3.0
-"""Seconds that a service may take to end by itself, as in compose/*.conf."""
+"""Seconds that a service may take to end after SIGTERM, as in compose/*.conf."""
+FAREWELL = 8.0
+"""Seconds that `start` waits for services whose supervisord was just killed: they end by themselves."""
 
 _SPAWNED = re.compile(r"spawned: '([^']+)' with pid")
 
@@ -300,7 +302,7 @@ class Deployment:
 
     def _refuse_if_occupied(self, names: Collection[str]) -> None:
         if not self._supervisor_pid():
-            wait_until_empty(self.folder, ORPHAN_PATIENCE)  # services whose supervisord was killed are ending by themselves
+            wait_until_empty(self.folder, FAREWELL)
         if self._supervisor_pid() and self._supervisor.answers():
             raise DeploymentError(f"{self.name} is up already in {self.folder}: stop it with `{self.command('down')}`")
         if occupants(self.folder):
