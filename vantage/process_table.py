@@ -64,7 +64,7 @@ def with_extra_arguments(text: str, extra: Mapping[str, str]) -> str:
         lines.append(line)
     if waiting:
         raise ConfigurationError(
-            f"--with: no service `{printable(', '.join(sorted(waiting)))}` in this deployment; there is: {', '.join(known)}"
+            f"no such service in this deployment: {printable(', '.join(sorted(waiting)))} (--with); there is: {', '.join(known)}"
         )
     return "\n".join(lines) + "\n"
 

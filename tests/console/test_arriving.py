@@ -93,7 +93,7 @@ def test_a_page_takes_no_other_deployment_for_its_own(home: Path, browser: Brows
         assert not page.get("vantage.state.connected")
         page.offline = False
         page.address = other
-        page.open()  # in the same tab
+        page.open()
         page.offline = True
     page.close()
 
@@ -108,6 +108,10 @@ def test_the_token_leaves_the_address_and_stays_for_the_tab(home: Path, browser:
         assert token not in page.get("JSON.stringify(history.state) + document.documentElement.outerHTML")
         page.page.reload()
         page.until("vantage.state.connected && vantage.state.frames.welcome")
+        page.page.evaluate("(token) => { window.old = true; location.hash = `token=${token}`; }", token)  # pasted into this tab
+        page.page.wait_for_function("() => !window.old && window.vantage?.state.connected")
+        page.until("vantage.state.frames.welcome")
+        assert page.page.url == place
         stranger = page.page.context.browser.new_page()
         stranger.goto(place)
         stranger.wait_for_function("() => !document.getElementById('banner').hidden")

@@ -53,8 +53,8 @@ def test_arguments_reach_the_service_as_they_are(tmp_path_factory: pytest.TempPa
 @pytest.mark.parametrize(
     ("extra", "reason"),
     [
-        ({"pilot": "--x"}, "no service `pilot` in this deployment; there is: planner"),
-        ({"pi\x1b[2Jlot": "--x"}, "no service `pi[2Jlot`"),
+        ({"pilot": "--x"}, "no such service in this deployment: pilot (--with); there is: planner"),
+        ({"pi\x1b[2Jlot": "--x"}, "deployment: pi[2Jlot (--with)"),
         ({"planner": "--x 'unfinished"}, "no closing quotation in"),
         ({"planner": "'--x\n[program:evil]\ncommand=evil'"}, "one line of printable text"),
         ({"planner": "'\x1b[2J'"}, "one line of printable text"),
