@@ -11,7 +11,8 @@ from pathlib import Path
 
 from schemas import CALLS, TOPICS
 from schemas.topics import CAMERAS, HIDER
-from vantage.deployment import Program, configuration_of, programs_of
+from vantage.deployment import configuration_of
+from vantage.process_table import Program, programs_of
 from vantage.service import Declaration
 
 PEOPLE = {"control"}

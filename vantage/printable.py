@@ -25,9 +25,8 @@ def printable(text: str, longest: int = 2000) -> str:
     `rich.markup.escape`.
 
     Args:
-        longest: characters; what is longer ends in an ellipsis.
+        longest: characters; see `shortened`.
     """
-    if len(text) > longest:
-        text = text[: longest - 1] + "…"
+    text = shortened(text, longest)
     spaced = (" " if letter in "\n\r\t" else letter for letter in text)
     return "".join(letter for letter in spaced if unicodedata.category(letter) not in _NOT_PRINTED)

@@ -56,8 +56,13 @@ def follow_parent() -> None:
     """Make this worker process leave signals of the terminal to its parent, and end when the parent does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal_on_parent_death(signal.SIGKILL)
+
+
+def signal_on_parent_death(number: signal.Signals) -> None:
+    """Make the kernel send this process a signal when its parent ends, however that ends."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def run_stoppable(function: Callable[[], int], name: str, kept: str = "") -> int:

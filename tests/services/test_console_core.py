@@ -174,12 +174,12 @@ def rows(table: Table) -> dict[str, dict[str, Any]]:
 def test_a_service_is_silent_after_two_and_a_half_seconds(table: Table) -> None:
     lossy = health("tracker", table.now, "degraded", "the overhead camera is dark")
     counts = (InputHealth(key="episode", lost=2, malformed=1), InputHealth(key="tick", lost=3))
-    table.say("tracker", [("health/tracker", replace(lossy, inputs=counts))])
+    table.say("tracker", [("health/tracker", replace(lossy, inputs=counts, unexpected=3, failed=2))])
     heard = table.now
     table.run_for(1.0)
     row = rows(table)["tracker"]
     assert (row["state"], row["reason"]) == ("degraded", "the overhead camera is dark")
-    assert (row["lost"], row["malformed"], row["uptime"]) == (5, 1, 5.0)
+    assert (row["lost"], row["bad"], row["uptime"]) == (5, 6, 5.0)
     table.run_for(3.0)
     row = rows(table)["tracker"]
     assert row["state"] == "silent"
@@ -228,7 +228,7 @@ def test_health_tells_of_a_missing_server_and_of_refusals_for_ten_seconds(table:
     assert core.trouble == ""
     table.bus.post(Captured(PAGE, Refusals({"wrong origin": 3}), table.now))
     # A browser's own question for a file that no page names, a laptop that sleeps, a wish that was answered: no trouble.
-    harmless = {"no such file": 7, "gone silent": 2, "malformed request": 1}
+    harmless = {"no such file": 7, "gone silent": 2, "malformed request": 1, "no token": 4, "wrong token": 9}
     table.bus.post(Captured(PAGE, Refusals({"wrong origin": 5, "too fast": 1, **harmless}), table.now))
     table.settle()
     assert core.trouble == "6 requests refused in the last 10 s (wrong origin 5, too fast 1)"

@@ -192,3 +192,13 @@ def test_lines_are_aligned_and_carry_the_remedy() -> None:
 def test_it_listens_to_topics_that_there_are(key: str) -> None:
     network = InProcessNetwork(clock=VirtualClock(START))
     network.session("watch-2").subscribe(key)
+
+
+def test_a_service_whose_clock_is_another_is_not_silent() -> None:
+    """After a suspend, or on another machine: health is as old as its arrival says."""
+    room = played()
+    for service, age in (("tracker", 3600.0), ("robot", -3600.0)):
+        room.hear(4.1, service, f"health/{service}", health(service, 0), age)
+    verdicts = room.verdicts(1, process("tracker"), process("robot"))
+    assert verdicts["service tracker"].ok
+    assert verdicts["service robot"].ok

@@ -4,7 +4,7 @@ A core has no clock, no bus and no I/O: `step` turns one received event and the 
 decodes at the door, counts what was malformed, lost or unexpected, reports health once a second and stops on SIGTERM.
 """
 
-from vantage.service.condition import TOO_SLOW, load_text
+from vantage.service.condition import TOO_SLOW, bad_messages, load_text
 from vantage.service.core import (
     SECOND,
     Answer,
@@ -56,6 +56,7 @@ __all__ = [
     "Unexpected",
     "Woken",
     "Write",
+    "bad_messages",
     "load_text",
     "run",
     "run_in_process",

@@ -11,6 +11,7 @@ from typing import Any
 from schemas import TOPICS, Episode, Health, MalformedMessage, Message
 from vantage.bus import Alive, Bus, Lost, Reply, Request, Sample
 from vantage.bus.clock import MACHINE
+from vantage.printable import printable
 from vantage.service.condition import Condition
 from vantage.service.core import (
     SECOND,
@@ -195,20 +196,19 @@ class Runtime:
         try:
             message = sample.decode()
         except MalformedMessage as error:
-            condition.malformed(sample, error, now)
+            condition.malformed(sample.key, sample.publisher, error, now)
             return
         counts.received += 1
         topic = TOPICS.get(sample.key)
         if topic is not None and sample.publisher not in topic.publishers:
             # A stranger's episode with an absurd number would make us deaf to the real ones.
-            condition.unexpected += 1
-            condition.note(f"set aside: {sample.key} from {sample.publisher or 'a stranger'}, who may not publish it", now)
+            condition.set_aside(f"{sample.key} from {sample.publisher or 'a stranger'}, who may not publish it", now)
             return
         counts.last = now
         counts.publisher = sample.publisher
         if type(message) is Episode:
             condition.expects_flow(message.phase == "running" and not message.paused and message.rules.step_period > 0, now)
-        self._step(Arrived(sample.key, message, sample.published), now)
+        self._step(Arrived(sample.key, message, sample.published), now, sample.publisher)
 
     def _handle_request(self, request: Request, now: int) -> None:
         counts = self._condition.counts_of(request.key)
@@ -216,14 +216,14 @@ class Runtime:
         try:
             message = request.decode()
         except MalformedMessage as error:
-            counts.malformed += 1
+            self._condition.malformed(request.key, request.caller, error, now)
             request.fail(str(error))
             return
         counts.received += 1
         counts.last = now
         token = request.token
         self._requests[token] = request
-        if not self._step(Asked(request.key, message, token), now) and token in self._requests:
+        if not self._step(Asked(request.key, message, token), now, request.caller) and token in self._requests:
             self._requests.pop(token).fail(
                 f"{self.core.declaration.name} could not handle this request: {self._condition.trouble}"
             )
@@ -242,23 +242,22 @@ class Runtime:
                 error = str(malformed)
         self._step(Answered(key, token, message, error), now)
 
-    def _step(self, received: Received, now: int) -> bool:
+    def _step(self, received: Received, now: int, publisher: str = "") -> bool:
         try:
             for send in self.core.step(received, now):
                 self._send(send)
         except Unexpected as unexpected:
-            self._condition.unexpected += 1
-            self._condition.note(f"set aside: {unexpected}", now)
+            self._condition.set_aside(f"{_described(received, publisher)}: {unexpected}", now)
             return False
         except Exception as error:  # a service never dies of a message
             if self._raw and isinstance(error, MalformedMessage) and type(received) is Sample:
-                self._condition.malformed(received, error, now)
+                self._condition.malformed(received.key, received.publisher, error, now)
                 return False
-            self._condition.failed += 1
-            self._condition.note(f"{type(error).__name__}: {error}", now)
+            described = _described(received, publisher)
+            self._condition.fail(f"{described}: {type(error).__name__}: {error}", now)
             if time.monotonic() - self._last_failure_logged > 1.0:
                 self._last_failure_logged = time.monotonic()
-                logger.exception("%s: handling %s failed", self.core.declaration.name, type(received).__name__)
+                logger.exception("%s: handling %s failed", self.core.declaration.name, printable(described))
             return False
         return True
 
@@ -279,3 +278,13 @@ class Runtime:
             request = self._requests.pop(send.token, None)
             if request is not None:
                 request.fail(send.reason)
+
+
+def _described(received: Received, publisher: str) -> str:
+    """Return what an event is, in the words of a log: the key and who published it."""
+    if isinstance(received, Sample | Lost):
+        publisher = received.publisher
+    key = getattr(received, "key", "")
+    if key:
+        return f"{key} from {publisher}" if publisher else key
+    return f"device {received.device}" if isinstance(received, Captured) else type(received).__name__.lower()

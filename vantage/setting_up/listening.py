@@ -64,7 +64,7 @@ class Heard:
         streams: by topic.
         ended: ns, own clock.
         clocks: own clock less that of each participant, ns.
-        health: last health of each service.
+        health: last health of each service, and when it came, s after the beginning on the listener's own clock.
         seen: for each robot, whether each track was seen (True) or predicted.
         late: s by which this command was woken late, at worst.
         load: processes that wanted a core; cores: that there are.
@@ -74,7 +74,7 @@ class Heard:
     streams: dict[str, Stream] = field(default_factory=dict)
     ended: int = 0
     clocks: dict[str, int] = field(default_factory=dict)
-    health: dict[str, Health] = field(default_factory=dict)
+    health: dict[str, tuple[Health, float]] = field(default_factory=dict)
     seen: dict[str, list[bool]] = field(default_factory=lambda: {robot: [] for robot in ROBOTS})
     late: float = 0.0
     load: float = 0.0
@@ -146,7 +146,7 @@ def take(heard: Heard, sample: Sample, passed: float, now: int) -> None:
     offset = now - sample.published
     heard.clocks[sample.publisher] = min(heard.clocks.get(sample.publisher, offset), offset)
     if isinstance(message, Health):
-        heard.health[message.service] = message
+        heard.health[message.service] = message, passed
     stream = heard.streams.setdefault(sample.key, Stream())
     stream.last, stream.publisher = message, sample.publisher
     if passed >= _LOSE_FIRST:
@@ -166,9 +166,8 @@ def judge_heard(heard: Heard, deployment: str, processes: list[Process], obstacl
     """
     verdicts = [_machine(heard)]
     for process in processes:
-        health = heard.health.get(process.name)
-        age = 0.0 if health is None else heard.age(health, process.name)
-        verdicts.append(_service(judge(process, health, age), deployment))
+        health, arrived = heard.health.get(process.name, (None, 0.0))
+        verdicts.append(_service(judge(process, health, heard.seconds + _LOSE_FIRST - arrived), deployment))
     verdicts += [_rate(heard, key) for key in sorted(heard.streams) if _is_stream(key)]
     for robot in ROBOTS:
         verdicts += _track(heard, robot)
