@@ -20,7 +20,7 @@ from services.referee.reasons import is_on_request
 from vantage.log import find_logs, open_log
 from vantage.log.episodes import EpisodeLog, games_of
 from vantage.log.reader import Log, Record
-from vantage.world.arena import CATCH_TOLERANCE
+from vantage.world.arena import CATCH_TOLERANCE, goal_name
 
 UNFINISHED = "it is still being written, or was cut short: wait, or see `vantage log recover`"
 
@@ -71,8 +71,9 @@ def check_game(game: EpisodeLog) -> list[Finding]:
         if plan.values:
             blocked = sum(value is None for value in plan.values)
             good = len(plan.values) == GOAL_COUNT and plan.goal is not None and plan.values[plan.goal] is not None
+            chosen = "no goal" if plan.goal is None else goal_name(plan.goal)
             findings.append(
-                Finding(f"{name}: value map of step {step}", good, f"{GOAL_COUNT} goals, {blocked} blocked, goal {plan.goal}")
+                Finding(f"{name}: value map of step {step}", good, f"{GOAL_COUNT} goals, {blocked} blocked, {chosen}")
             )
     return findings
 

@@ -98,7 +98,7 @@ def stages_of(name: str, preset: Preset, machine: Machine, given: Sequence[Path]
     stages += _evaluations(preset, inputs)
     judged = tuple(stage.name for stage in stages if stage.name.startswith("evaluate"))
     first = preset.groups[0].name
-    drawn = ("figures", "--data", f"@/data/{preset.main.name}/dataset", "--weights", f"@/weights/{first}")
+    drawn = ("figures", "--force", "--data", f"@/data/{preset.main.name}/dataset", "--weights", f"@/weights/{first}")
     needs = (f"gather {preset.main.name}", *inputs[first].trained, *judged)
     figures = (*drawn, "--results", "@/results", "--to", "@/figures")
     drawing = Stage("figures", figures, ("@/figures/figures.json",), needs, reads=inputs[first].given, expected=60)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+from schemas import ROBOTS
 from services.console.prediction import HORIZONS
 from services.console.requests import (
     GAMES_LIMIT,
@@ -16,11 +17,12 @@ from services.console.requests import (
     STEPS_LIMIT,
 )
 from vantage.deployment import DEPLOYMENT_NAME
-from vantage.perception.palette import PALETTE
+from vantage.perception.palette import OTHER, PALETTE, view_palette
 from vantage.world import arena
 from vantage.world.camera import Camera
 
-PALETTE_NAMES = ("not visible", "free", "boundary", "own robot", "other robot")
+PALETTE_NAMES = ("not visible", "free", "boundary", *ROBOTS)
+"""What the colours of the hider's state images mean; each robot has one colour in every picture, whoever looks."""
 
 
 def deployment_name(folder: Path) -> str:
@@ -42,9 +44,9 @@ def welcome(arena_name: str, deployment: str) -> dict[str, Any]:
         "robot_radius": arena.ROBOT_RADIUS,
         "catch_distance": arena.CATCH_DISTANCE,
         "field_of_view": Camera().horizontal_fov,
-        "palette": PALETTE.tolist(),
+        "palettes": {robot: view_palette(robot).tolist() for robot in ROBOTS},
         "palette_names": PALETTE_NAMES,
-        "robot_colors": {"hider": arena.HIDER_COLOR, "seeker": arena.SEEKER_COLOR},
+        "robot_colors": arena.ROBOT_COLORS,
         "seekers": SEEKERS,
         "layouts": LAYOUTS,
         "horizons": HORIZONS,
@@ -57,4 +59,4 @@ def welcome(arena_name: str, deployment: str) -> dict[str, Any]:
     }
 
 
-assert len(PALETTE_NAMES) == len(PALETTE)
+assert len(PALETTE_NAMES) == len(PALETTE) == OTHER + 1

@@ -72,6 +72,14 @@ def test_the_layout_shows_the_arena_and_the_robots_as_they_look() -> None:
     assert layout["3D!scene"]["cameraState"]["targetOffset"] == [1.75, 1.75, 0]
 
 
+def test_the_scene_colours_danger_as_every_other_picture_does() -> None:
+    layout = layout_of(["viewer/hider/plan/values", "viewer/hider/plan/picture"], LOOKS)["configById"]
+    shown = layout["3D!scene"]["topics"]["viewer/hider/plan/values"]
+    ends = ["#{:02x}{:02x}{:02x}80".format(*LOOKS.danger[end]) for end in (0, -1)]
+    assert (shown["colorField"], shown["gradient"]) == ("danger", ends)
+    assert "danger" in layout["Image!hider-plan-picture"]["foxglovePanelTitle"]
+
+
 def test_one_game_is_its_time_of_the_log(tmp_path: Path) -> None:
     export_to("foxglove", real_log(), tmp_path / "two.mcap", LOOKS, episode=2)
     own = [record for record in read(real_log()) if record.decode().episode == 2]

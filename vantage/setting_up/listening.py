@@ -183,7 +183,7 @@ def _machine(heard: Heard) -> Verdict:
     """Judge whether the machine keeps up: on one that does not, robots and cameras look as if they were broken."""
     cores = f"{heard.cores} core{'s' * (heard.cores != 1)}"
     figures = f"load {heard.load:.1f} on {cores}, this command woken {1000 * heard.late:.0f} ms late"
-    slow = sorted(name for name, health in heard.health.items() if TOO_SLOW in health.reason)
+    slow = sorted(name for name, (health, _) in heard.health.items() if TOO_SLOW in health.reason)
     if slow:
         figures += f", too slow for {', '.join(slow)}"
     busy = bool(slow) or heard.late > GREATEST_DELAY or heard.load > GREATEST_LOAD * heard.cores

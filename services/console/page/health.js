@@ -1,6 +1,6 @@
 // How each service does, one line each; the line says why where something is wrong.
 
-import { make, panel, setText } from './element.js';
+import { make, panel, setText, setTitle } from './element.js';
 import { onChange } from './painting.js';
 import { header, state } from './state.js';
 
@@ -47,7 +47,7 @@ export class Health {
       setText(row.lost, String(each.lost));
       setText(row.bad, String(each.bad));
       setText(row.reason, each.reason);
-      row.reason.title = each.reason;
+      setTitle(row.reason, each.reason);
     }
     this.root.classList.toggle('stale', !state.connected);
   }
