@@ -34,7 +34,7 @@ class Command:
 
 _LOGS = "finished logs are kept; the same command goes on"
 _NOTHING = "nothing was written; run it again"
-_CHECKPOINT = "the checkpoint is kept; the same command goes on"
+_CHECKPOINT = "the same command goes on from the last checkpoint"
 _FIGURES = "finished figures are kept; run it again for the others"
 _STAGES = "finished stages are kept; the same command goes on"
 _FILES = "finished files are kept; run it again for the others"
