@@ -17,6 +17,7 @@ from torch.nn import functional
 from learning.dataset import Batch, Dataset, Samples, prefetch
 from learning.group import Group, join_group
 from learning.measures import measures_of_logits
+from learning.methods.trainings import RELEASED, RUNS, files_of
 from learning.recipe import VPN_PRESETS, VpnRecipe, rate_factor, vpn_notes_of
 from learning.splits import Split
 from learning.tensors import in_unit_range, on_device, shown_to
@@ -38,9 +39,10 @@ class TrainVpnSettings(SharedSettings):
     Example: vantage train vpn --data dataset/ --views weights/vpt-tob.safetensors --preset compact
     """
 
-    views: Path = Path("weights/vpt-tob.safetensors")
-    """Weights whose predictions it learns from: of any network that predicts a view. With several --seeds each learns from those
-    of its own seed, where they lie beside: vpt-tob-seed2.safetensors."""
+    views: Path | None = None
+    """Weights whose predictions it learns from, of any network that predicts a view; if not said, runs/vpt-tob.safetensors where
+    a training has left them, else the released ones. With several --seeds each learns from those of its own seed, where they lie
+    beside: vpt-tob-seed2.safetensors."""
     preset: Literal["paper", "compact"] = "paper"
     """`paper`: the paper's recipe. `compact`: a stream of fresh predictions, some minutes on a CPU core."""
     images: int | None = None
@@ -179,12 +181,18 @@ def name_of(views: Path) -> str:
     return ("vpn" if stem == "vpt-tob" else f"{stem}-vpn") + dash + seed
 
 
+def default_views() -> Path:
+    """Return the weights of VPT-TOB whose predictions are learnt from where none are named."""
+    return (RUNS if files_of("vpt-tob", RUNS) else RELEASED) / "vpt-tob.safetensors"
+
+
 def views_of(settings: TrainVpnSettings, place: Place) -> Path:
     """Return the weights whose predictions the VPN of a seed learns from."""
-    own = [of_seed(settings.views, seed) for seed in settings.seeds]
+    views = settings.views or default_views()
+    own = [of_seed(views, seed) for seed in settings.seeds]
     there = [path.exists() for path in own]
     if len(own) == 1 or not any(there):
-        return settings.views
+        return views
     if not all(there):
         raise UnusableTraining(f"no weights at {own[there.index(False)]}: there are some of another seed, so each needs its own")
     return own[settings.seeds.index(place.seed)]
@@ -193,7 +201,7 @@ def views_of(settings: TrainVpnSettings, place: Place) -> Path:
 def main(settings: TrainVpnSettings) -> int:
     """Train, with one seed after the other; returns the exit code."""
     recipe = resolve(settings)
-    places = places_of(settings, "true-vpn" if recipe.on == "true" else name_of(settings.views))
+    places = places_of(settings, "true-vpn" if recipe.on == "true" else name_of(settings.views or default_views()))
     group, data = join_group(), Dataset(settings.data)
     torch.set_num_threads(settings.threads_of(group))
     for place in places:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +17,11 @@ from learning.figures import charts, games, maps
 from learning.figures.style import METHODS, save
 from learning.methods.machine import Machine
 from learning.methods.table import load_methods
+from learning.methods.trainings import weights_folder
 from learning.methods.views import PredictedViews
 from learning.provenance import provenance
 from vantage.cores import available_cores
+from vantage.output import write_complete
 
 
 @dataclass(frozen=True)
@@ -31,9 +33,10 @@ class FiguresSettings:
 
     data: Path = Path("dataset")
     """The training set; pictures show its test games."""
-    weights: Path = Path("weights")
-    """Folder with the networks; what is not there is not drawn."""
-    results: Path = Path("results")
+    weights: Path | None = None
+    """Folder with the networks; if not said, runs/ where a training has left some, else the released ones. What is not there is
+    not drawn."""
+    results: Path = Path("runs")
     """Folder with accuracy.json, maps.json and maps.npz, as `vantage evaluate` and `vantage evaluate maps` leave them."""
     to: Path = Path("figures")
     """Folder for the pictures."""
@@ -64,6 +67,8 @@ def main(settings: FiguresSettings) -> int:
         read(settings.results / "maps.json"),
     )
     torch.set_num_threads(settings.threads or available_cores())
+    settings = replace(settings, weights=weights_folder(settings.weights))
+    assert settings.weights is not None
     methods, left_out = load_methods(METHODS, settings.weights, Machine.fastest(settings.threads))
     for line in left_out:
         print(line, file=sys.stderr)
@@ -93,7 +98,7 @@ def main(settings: FiguresSettings) -> int:
         print(f"not drawn, as results or weights for them are missing: {', '.join(left)}", file=sys.stderr)
     pictures = {f"{name}.png": caption for name, caption in CAPTIONS.items() if name in drawn}
     report = {"provenance": provenance(), "data": data.hash, "figures": pictures}
-    (settings.to / "figures.json").write_text(json.dumps(report, indent=2) + "\n")
+    write_complete(settings.to / "figures.json", json.dumps(report, indent=2) + "\n")
     return 0
 
 
@@ -112,4 +117,5 @@ def _run(settings: FiguresSettings, data: Dataset, ranking: dict[str, Any]) -> F
         episode = data.episodes[data.of_split("test")[0]]
         layout, seeker = episode["layout"].decode(), episode["seeker"].decode()
         seed, steps = int(episode["seed"]), int(episode["horizon"])
+    assert settings.weights is not None
     return run(play_run(settings.weights, layout, seeker, seed, steps, settings.threads))
