@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from vantage.errors import explain
-from vantage.stopping import run_stoppable
+from vantage.stopping import follow_parent, run_stoppable
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,6 +171,8 @@ def run(command: Command, arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Entry point of the `vantage` script."""
+    if "VANTAGE_STAGE" in os.environ:  # a stage of `vantage reproduce`
+        follow_parent()
     arguments = sys.argv[1:]
     if arguments == ["--version"]:
         print(f"vantage {importlib.metadata.version('vantage-hide-and-seek')}")
