@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vantage.errors import explain
-from vantage.stopping import run_stoppable
+from vantage.stopping import follow_parent, run_stoppable
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +37,7 @@ class Command:
 
 _LOGS = "finished logs are kept; the same command goes on"
 _NOTHING = "nothing was written; run it again"
-_CHECKPOINT = "the checkpoint is kept; the same command goes on"
+_CHECKPOINT = "the same command goes on from the last checkpoint"
 _FIGURES = "finished figures are kept; run it again with --force for all"
 _STAGES = "finished stages are kept; the same command goes on"
 _FILES = "finished files are kept; run it again for the others"
@@ -186,6 +186,8 @@ def run(command: Command, arguments: Sequence[str]) -> int:
 
 def main() -> None:
     """Entry point of the `vantage` script."""
+    if "VANTAGE_STAGE" in os.environ:  # a stage of `vantage reproduce`
+        follow_parent()
     arguments = sys.argv[1:]
     if arguments == ["--version"]:
         print(f"vantage {importlib.metadata.version('vantage-hide-and-seek')}")
