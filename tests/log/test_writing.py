@@ -213,7 +213,7 @@ def test_strangers_and_nonsense_are_kept_as_bytes(tmp_path: Path) -> None:
 
 
 def test_any_number_of_strangers_keys_costs_a_bounded_number_of_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vantage.log.writer.MOST_CHANNELS", 20)
+    monkeypatch.setattr("vantage.log.routes.MOST_CHANNELS", 20)
     pose = encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0))
     with LogWriter(tmp_path / "log.mcap", RunMetadata(), sync=False) as log:
         common = {"log_time": START, "publish_time": 0}
