@@ -90,10 +90,9 @@ class Losses:
             is_open: whether it could be created.
             error: of the disk.
         """
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            why = f"{error.filename or path}: {error.strerror or error}"
-        elif is_open:
-            why = f"{path}: the disk is full"
-        else:
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        if is_full and not is_open:
             why = f"the disk is full: no room in {path.parent}"
+        else:
+            why = f"{path if is_open else path.parent}: {'the disk is full' if is_full else error.strerror or error}"
         return f"{why}; messages dropped so far: {sum(self.dropped.values())}"
