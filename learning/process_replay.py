@@ -176,14 +176,18 @@ class ProcessReplay:
         self._asked: list[tuple[Ask, Message]] = []
         self._answers: list[tuple[Message, Message]] = []
         self._requests: list[PredictRequest] = []
-        self._outputs = [key for key in core.declaration.outputs if not key.startswith("health/")]
+        # What a core hears as well comes from the log: the referee stops games by `control` when their owner leaves the bus, of
+        # which a log does not tell.
+        self._outputs = [
+            key for key in core.declaration.outputs if not key.startswith("health/") and key not in core.declaration.inputs
+        ]
         self._heeded = self._inputs | set(self._outputs) | {"predictor/request", "predictor/reply"}
         self._comparisons = {key: Comparison(key) for key in self._outputs}
         self._said: Counter[str] = Counter()
         self._recorded: Counter[str] = Counter()
         # (is it recorded, message) that the other side has not said yet; pictures are not kept longer than that.
         self._waiting: dict[str, deque[tuple[bool, Message]]] = {key: deque() for key in self._outputs}
-        for service in (name for names in core.declaration.heeds for name in names.split("|")):
+        for service in core.declaration.participants:
             self._step(Changed(service, True), 0)
 
     def feed(self, record: Record) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ from learning.figures import charts, games, maps
 from learning.figures.style import METHODS, save
 from learning.methods.machine import Machine
 from learning.methods.table import load_methods
+from learning.methods.trainings import weights_folder
 from learning.methods.views import PredictedViews
 from learning.provenance import provenance
 from vantage.cores import available_cores
@@ -33,9 +34,10 @@ class FiguresSettings:
 
     data: Path = Path("dataset")
     """The training set; pictures show its test games."""
-    weights: Path = Path("weights")
-    """Folder with the networks; what is not there is not drawn."""
-    results: Path = Path("results")
+    weights: Path | None = None
+    """Folder with the networks; if not said, runs/ where a training has left some, else the released ones. What is not there is
+    not drawn."""
+    results: Path = Path("runs")
     """Folder with accuracy.json, maps.json and maps.npz, as `vantage evaluate` and `vantage evaluate maps` leave them."""
     to: Path = Path("figures")
     """Folder for the pictures."""
@@ -68,6 +70,8 @@ def main(settings: FiguresSettings) -> int:
         read(settings.results / "maps.json"),
     )
     torch.set_num_threads(settings.threads or available_cores())
+    settings = replace(settings, weights=weights_folder(settings.weights))
+    assert settings.weights is not None
     methods, left_out = load_methods(METHODS, settings.weights, Machine.fastest(settings.threads))
     for line in left_out:
         print(printable(line), file=sys.stderr)
@@ -122,4 +126,5 @@ def _run(settings: FiguresSettings, data: Dataset, ranking: dict[str, Any]) -> F
         episode = data.episodes[data.of_split("test")[0]]
         layout, seeker = episode["layout"].decode(), episode["seeker"].decode()
         seed, steps = int(episode["seed"]), int(episode["horizon"])
+    assert settings.weights is not None
     return run(play_run(settings.weights, layout, seeker, seed, steps, settings.threads))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from schemas import Gap, Health
 from services.console.frames import frame
-from vantage.service import SECOND
+from vantage.service import SECOND, bad_messages
 
 SILENCE = 5 * SECOND // 2
 """ns after which a service that says something every second is judged silent."""
@@ -43,7 +43,7 @@ class Reports:
                     "age": age,
                     "uptime": health.uptime,
                     "lost": sum(each.lost for each in health.inputs),
-                    "bad": _bad(health),
+                    "bad": bad_messages(health),
                 }
             )
         return frame("services", {"services": rows})
@@ -60,8 +60,3 @@ class Reports:
         else:
             state, reason = "on", ""
         return frame("recording", {"state": state, "reason": reason, "lost": self._missed})
-
-
-def _bad(health: Health) -> int:
-    """Return the messages that a service could not use: malformed, making no sense, or failed to handle; as `vantage status`."""
-    return sum(each.malformed for each in health.inputs) + health.unexpected + health.failed

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +33,9 @@ def deployment_name(folder: Path) -> str:
         return ""
 
 
-def table_of(folder: Path) -> str:
-    """Return what tells the deployment in this folder from every other one, also after a restart: ports change hands."""
-    return hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()[:16]
-
-
-def welcome(arena_name: str, deployment: str, table: str = "") -> dict[str, Any]:
+def welcome(arena_name: str, deployment: str) -> dict[str, Any]:
     """Return the fields of the frame `welcome` but for the client's number. Lengths in m, angles in rad."""
     return {
-        "table": table,
         "deployment": deployment,
         "arena": arena_name,
         "size": arena.ARENA_SIZE,

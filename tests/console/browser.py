@@ -93,6 +93,7 @@ class ConsolePage:
             self.errors.append(text)
 
     def open(self) -> None:
+        self.page.goto("about:blank")  # else only the fragment would differ, which is no navigation
         self.page.goto(self.address)
         self.until("vantage.state.connected && vantage.state.frames.welcome && vantage.state.frames.services")
 

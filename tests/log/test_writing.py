@@ -21,6 +21,7 @@ from mcap.writer import CompressionType, Writer
 from schemas import TOPICS, Layout, Pose, encode
 from tests.log.making import START, game, records_of, write_log, write_record
 from vantage.log import LogWriter, Record, RunMetadata, find_logs, open_log, read
+from vantage.log.reader import NoSuchLog
 
 Compression = Literal["zstd", "lz4", "none"]
 every_compression = pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
@@ -176,7 +177,7 @@ def test_an_empty_log_reads(tmp_path: Path) -> None:
 
 
 def test_no_log_is_said_clearly(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no log"):
+    with pytest.raises(NoSuchLog, match="no log"):
         list(read(tmp_path))
 
 
@@ -213,7 +214,7 @@ def test_strangers_and_nonsense_are_kept_as_bytes(tmp_path: Path) -> None:
 
 
 def test_any_number_of_strangers_keys_costs_a_bounded_number_of_channels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("vantage.log.writer.MOST_CHANNELS", 20)
+    monkeypatch.setattr("vantage.log.routes.MOST_CHANNELS", 20)
     pose = encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0))
     with LogWriter(tmp_path / "log.mcap", RunMetadata(), sync=False) as log:
         common = {"log_time": START, "publish_time": 0}
@@ -243,11 +244,9 @@ def test_a_flushed_message_is_in_the_file(tmp_path: Path) -> None:
     records = records_of(game(1, 2))
     for record in records:
         write_record(log, record)
-    with pytest.warns(match="breaks off"):
-        assert list(read(tmp_path / "log.mcap")) == []
+    assert list(read(tmp_path / "log.mcap")) == []
     log.flush()
-    with pytest.warns(match="breaks off"):
-        assert list(read(tmp_path / "log.mcap")) == records
+    assert list(read(tmp_path / "log.mcap")) == records
     log.close()
     assert list(read(tmp_path / "log.mcap")) == records
 
@@ -257,8 +256,7 @@ def test_writing_flushes_by_itself(tmp_path: Path) -> None:
     records = records_of(game(1, 2))
     for record in records:
         write_record(log, record)
-    with pytest.warns(match="breaks off"):
-        assert list(read(tmp_path / "log.mcap")) == records
+    assert list(read(tmp_path / "log.mcap")) == records
     log.close()
 
 

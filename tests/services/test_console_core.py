@@ -231,7 +231,7 @@ def test_health_tells_of_a_missing_server_and_of_refusals_for_ten_seconds(table:
     assert core.trouble == ""
     table.bus.post(Captured(PAGE, Refusals({"wrong origin": 3}), table.now))
     # A browser's own question for a file that no page names, a laptop that sleeps, a wish that was answered: no trouble.
-    harmless = {"no such file": 7, "gone silent": 2, "malformed request": 1}
+    harmless = {"no such file": 7, "gone silent": 2, "malformed request": 1, "no token": 4, "wrong token": 9}
     table.bus.post(Captured(PAGE, Refusals({"wrong origin": 5, "too fast": 1, **harmless}), table.now))
     table.settle()
     assert core.trouble == "6 requests refused in the last 10 s (wrong origin 5, too fast 1)"

@@ -58,7 +58,8 @@ class Sample(Struct, eq=False):
         key: short key.
         publisher: name of the participant that published it, empty when a stranger did.
         sequence: number of the message among those its publisher published on this key since it started, from 0.
-        published: when it was published, ns since the Unix epoch (the network's clock when in-process).
+        published: when it was published, ns since the Unix epoch (the network's clock when in-process). One clock for all
+            publishers of this machine, which does not step when the wall clock is set; for the record, it orders nothing.
     """
 
     key: str

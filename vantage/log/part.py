@@ -8,18 +8,18 @@ are checked with `mcap`'s readers in the test suite.
 from __future__ import annotations
 
 import contextlib
+import fcntl
 import os
 import struct
+import time
 import zlib
-from collections.abc import Callable
 from pathlib import Path
 from typing import Literal
 
-import lz4.frame
-import zstandard
 from mcap.data_stream import RecordBuilder
 from mcap.opcode import Opcode
 from mcap.records import (
+    AttachmentIndex,
     Channel,
     ChunkIndex,
     DataEnd,
@@ -33,22 +33,17 @@ from mcap.records import (
 )
 from mcap.writer import MCAP0_MAGIC
 
-Compression = Literal["zstd", "lz4", "none"]
+from vantage.log.chunk import OpenChunk
+from vantage.log.compression import Compression
+from vantage.log.metadata import REPEATED
 
-_MESSAGE_HEAD = struct.Struct("<BQHIQQ")
-_MESSAGE_FIELDS = 22
-_CHUNK_HEAD = struct.Struct("<BQQQQII")
-_INDEX_HEAD = struct.Struct("<BQHI")
-_LENGTH = struct.Struct("<Q")
+FILE_MODE = 0o640
+FOLDER_MODE = 0o750
+"""Logs may hold the names of people who played: others on the machine do not read them. The umask narrows both further."""
 
-# Camera noise does not shrink: after a chunk that gained less than 3 %, seven are stored as they are before the next try.
-_WORTHWHILE = 0.97
-_TRIES_SKIPPED = 7
+_RECORD_HEAD = struct.Struct("<BQ")
 
-_compressors: dict[str, Callable[[bytes], bytes]] = {
-    "zstd": lambda data: zstandard.ZstdCompressor(level=1).compress(data),
-    "lz4": lz4.frame.compress,
-}
+_LOCK_TRIES = 100
 
 
 class ChunkLost(Exception):
@@ -65,37 +60,6 @@ class ChunkLost(Exception):
         self.dropped = dropped
 
 
-class _Chunk:
-    """Messages waiting to be written together."""
-
-    __slots__ = ("compression", "end", "index", "pieces", "size", "skip", "start")
-
-    def __init__(self, compression: Compression) -> None:
-        self.compression: Compression = compression
-        self.skip = 0
-        self.clear()
-
-    def clear(self) -> None:
-        self.pieces: list[bytes] = []
-        self.size = 0
-        self.index: dict[int, list[int]] = {}
-        self.start = 2**64 - 1
-        self.end = 0
-
-    def compressed(self, data: bytes) -> tuple[bytes, bytes]:
-        """Return (name of the compression, bytes)."""
-        if self.compression == "none":
-            return b"", data
-        if self.skip:
-            self.skip -= 1
-            return b"", data
-        smaller = _compressors[self.compression](data)
-        if len(smaller) > _WORTHWHILE * len(data):
-            self.skip = _TRIES_SKIPPED
-            return b"", data
-        return self.compression.encode(), smaller
-
-
 class Part:
     """An MCAP file being written.
 
@@ -104,41 +68,105 @@ class Part:
     taken back before the error is raised.
     """
 
-    def __init__(self, path: Path, chunk_size: int) -> None:
-        """Create the file.
+    def __init__(
+        self,
+        path: Path,
+        chunk_size: int,
+        *,
+        profile: str = "",
+        library: str = "vantage",
+        mode: int = FILE_MODE,
+        durable: bool = False,
+    ) -> None:
+        """Prepare a part; `open` creates its file.
 
-        Raises:
-            FileExistsError: a log is never overwritten.
-            OSError: the file cannot be created or its first bytes not be written.
+        Args:
+            profile, library: of the header.
+            mode: of the file, which the umask narrows further.
+            durable: flush the file's name to the disk when it is created: else a power cut may take it, and so all of the file.
         """
         self.path = path
         self.size = 0
         self.message_count = 0
+        self.chunk_count = 0
+        self._mode = mode
+        self._durable = durable
         self._chunk_size = chunk_size
-        self._chunks: dict[str, _Chunk] = {}
+        self._chunks: dict[str, OpenChunk] = {}
         self._waiting = RecordBuilder()
         self._waiting_metadata: list[tuple[int, int, str]] = []
         self._schemas: list[Schema] = []
         self._channels: list[Channel] = []
-        self._chunk_indexes: list[ChunkIndex] = []
+        # As bytes, because it grows as long as the part does: an object for each chunk is ten times larger.
+        self._chunk_indexes = RecordBuilder()
         self._metadata_indexes: list[MetadataIndex] = []
+        self._attachment_indexes: list[AttachmentIndex] = []
         self._counts: dict[int, int] = {}
         self._start = 2**64 - 1
         self._end = 0
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+        self._file: int | None = None
+        self._waiting.write(MCAP0_MAGIC)
+        Header(profile=profile, library=library).write(self._waiting)
+
+    @property
+    def is_open(self) -> bool:
+        """Whether the file has been created."""
+        return self._file is not None
+
+    def open(self) -> None:
+        """Create the file, with all that waits; nothing happens when there is one.
+
+        The file is locked (flock) until it is closed: readers see that it is being written.
+
+        Raises:
+            FileExistsError: a log is never overwritten.
+            OSError: the file cannot be created or its first bytes not be written; then there is none.
+        """
+        if self._file is not None:
+            return
+        self._file = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, self._mode)
         try:
-            self._waiting.write(MCAP0_MAGIC)
-            Header(profile="", library="vantage").write(self._waiting)
+            _lock(self._file)
+            if self._durable:
+                _sync_folder(self.path.parent)
             self._write_waiting()
-        except OSError:
+        except BaseException:
             os.close(self._file)
-            os.unlink(path)
+            self._file, self.size = None, 0
+            os.unlink(self.path)
             raise
+
+    @property
+    def displaced(self) -> Literal["", "deleted", "moved"]:
+        """What became of the file's name behind our back: empty while it still means this file."""
+        if self._file is None:
+            return ""
+        held = os.fstat(self._file)
+        try:
+            named = os.stat(self.path)
+        except (FileNotFoundError, NotADirectoryError):
+            pass
+        except OSError:
+            return ""  # a folder that may not be looked into says nothing
+        else:
+            if (named.st_dev, named.st_ino) == (held.st_dev, held.st_ino):
+                return ""
+        return "moved" if held.st_nlink else "deleted"
+
+    @property
+    def counts(self) -> dict[tuple[str, str], int]:
+        """(topic, publisher) -> messages in the file."""
+        return self._named(self._counts)
 
     @property
     def pending(self) -> int:
         """Bytes of messages that are not in the file yet."""
         return sum(chunk.size for chunk in self._chunks.values())
+
+    @property
+    def groups(self) -> list[str]:
+        """The groups that have had messages."""
+        return list(self._chunks)
 
     def add_schema(self, name: str, encoding: str, data: bytes) -> int:
         """Return the id of a new schema."""
@@ -164,92 +192,74 @@ class Part:
         self, channel: int, group: str, compression: Compression, sequence: int, log_time: int, publish_time: int, payload: bytes
     ) -> bool:
         """Add a message to the open chunk of `group`; return whether that chunk is full and wants `write_chunk`."""
-        length = len(payload)
-        # First of all, because it refuses a number that is out of range.
-        head = _MESSAGE_HEAD.pack(
-            Opcode.MESSAGE, length + _MESSAGE_FIELDS, channel, sequence & 0xFFFFFFFF, log_time, publish_time
-        )
         chunk = self._chunks.get(group)
         if chunk is None:
-            chunk = self._chunks[group] = _Chunk(compression)
-        entries = chunk.index.get(channel)
-        if entries is None:
-            entries = chunk.index[channel] = []
-        entries.append(log_time)
-        entries.append(chunk.size)
-        chunk.pieces.append(head)
-        chunk.pieces.append(payload)
-        chunk.size += length + _MESSAGE_HEAD.size
-        if log_time < chunk.start:
-            chunk.start = log_time
-        if log_time > chunk.end:
-            chunk.end = log_time
+            chunk = self._chunks[group] = OpenChunk(compression)
+        chunk.add(channel, sequence, log_time, publish_time, payload)
         return chunk.size >= self._chunk_size
 
-    def write_chunk(self, group: str) -> None:
-        """Write the open chunk of `group` into the file.
+    def write_chunk(self, group: str) -> bool:
+        """Write the open chunk of `group` into the file; return whether there was anything in it.
 
         Raises:
             ChunkLost: the file could not be written; the chunk's messages are gone, the file is as it was before.
         """
         chunk = self._chunks.get(group)
         if chunk is None or not chunk.size:
-            return
-        data = b"".join(chunk.pieces)
-        compression, stored = chunk.compressed(data)
-        start, end, size, index = chunk.start, chunk.end, chunk.size, chunk.index
-        chunk.clear()
-        counts = {channel: len(entries) // 2 for channel, entries in index.items()}
+            return False
+        packed = chunk.take()
+        counts = packed.counts
         try:
+            self.open()
             self._write_waiting()
             offset = self.size
-            length = _CHUNK_HEAD.size - 9 + len(compression) + 8 + len(stored)
-            head = _CHUNK_HEAD.pack(Opcode.CHUNK, length, start, end, size, zlib.crc32(data), len(compression))
-            head += compression + _LENGTH.pack(len(stored))
-            records: list[bytes] = []
-            index_offsets: dict[int, int] = {}
-            index_offset = offset + len(head) + len(stored)
-            for channel, entries in index.items():
-                index_offsets[channel] = index_offset
-                record = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, 6 + 8 * len(entries), channel, 8 * len(entries))
-                record += struct.pack(f"<{len(entries)}Q", *entries)
-                records.append(record)
-                index_offset += len(record)
-            self._append(head, stored, *records)
+            self._append(*packed.buffers)
         except OSError as error:
-            dropped: dict[tuple[str, str], int] = {}
-            for channel, count in counts.items():
-                lost = self._channels[channel - 1]
-                name = (lost.topic, lost.metadata.get("publisher", ""))
-                dropped[name] = dropped.get(name, 0) + count
-            raise ChunkLost(error, dropped) from error
+            raise ChunkLost(error, self._named(counts)) from error
         for channel, count in counts.items():
             self._counts[channel] = self._counts.get(channel, 0) + count
             self.message_count += count
-        self._start = min(self._start, start)
-        self._end = max(self._end, end)
-        self._chunk_indexes.append(
-            ChunkIndex(
-                message_start_time=start,
-                message_end_time=end,
-                chunk_start_offset=offset,
-                chunk_length=len(head) + len(stored),
-                message_index_offsets=index_offsets,
-                message_index_length=sum(map(len, records)),
-                compression=compression.decode(),
-                compressed_size=len(stored),
-                uncompressed_size=size,
-            )
-        )
+        self._start = min(self._start, packed.start)
+        self._end = max(self._end, packed.end)
+        self.chunk_count += 1
+        ChunkIndex(
+            message_start_time=packed.start,
+            message_end_time=packed.end,
+            chunk_start_offset=offset,
+            chunk_length=packed.length,
+            message_index_offsets=packed.index_offsets(offset),
+            message_index_length=sum(map(len, packed.buffers[2:])),
+            compression=packed.compression,
+            compressed_size=len(packed.buffers[1]),
+            uncompressed_size=packed.size,
+        ).write(self._chunk_indexes)
+        return True
 
-    @property
-    def groups(self) -> list[str]:
-        """The groups that have had messages."""
-        return list(self._chunks)
+    def add_record(self, opcode: int, content: bytes) -> None:
+        """Add a record of any kind, as it is, in front of the next chunk."""
+        self._waiting.write(_RECORD_HEAD.pack(opcode, len(content)))
+        self._waiting.write(content)
+
+    def write_attachment(self, index: AttachmentIndex, content: memoryview) -> None:
+        """Write an attachment into the file.
+
+        Args:
+            index: describes it; its place in the file is filled in here.
+            content: the record, without opcode and length.
+
+        Raises:
+            OSError: the file cannot be written.
+        """
+        self.open()
+        self._write_waiting()
+        index.offset, index.length = self.size, _RECORD_HEAD.size + len(content)
+        self._append(_RECORD_HEAD.pack(Opcode.ATTACHMENT, len(content)), content)
+        self._attachment_indexes.append(index)
 
     def sync(self) -> None:
         """Wait until what is in the file is on the disk (fdatasync)."""
-        os.fdatasync(self._file)
+        if self._file is not None:
+            os.fdatasync(self._file)
 
     def finish(self) -> None:
         """Write the summary; open chunks must have been written.
@@ -258,15 +268,16 @@ class Part:
             OSError: no room for the summary; everything up to here reads, by `recover` or a reader that goes through the file
                 from the start.
         """
+        self.open()
         self._write_waiting()
         DataEnd(0).write(self._waiting)
         summary_start = self.size + self._waiting.count
         summary, groups = RecordBuilder(), []
         statistics = Statistics(
-            attachment_count=0,
+            attachment_count=len(self._attachment_indexes),
             channel_count=len(self._channels),
             channel_message_counts=self._counts,
-            chunk_count=len(self._chunk_indexes),
+            chunk_count=self.chunk_count,
             message_count=self.message_count,
             message_end_time=self._end,
             message_start_time=self._start if self.message_count else 0,
@@ -277,12 +288,16 @@ class Part:
             (Opcode.SCHEMA, self._schemas),
             (Opcode.CHANNEL, self._channels),
             (Opcode.STATISTICS, [statistics]),
-            (Opcode.CHUNK_INDEX, self._chunk_indexes),
+            (Opcode.CHUNK_INDEX, self._chunk_indexes.end()),
+            (Opcode.ATTACHMENT_INDEX, self._attachment_indexes),
             (Opcode.METADATA_INDEX, self._metadata_indexes),
         ):
             start = summary.count
-            for record in records:
-                record.write(summary)
+            if isinstance(records, bytes):
+                summary.write(records)
+            else:
+                for record in records:
+                    record.write(summary)
             if summary.count > start:
                 groups.append(
                     SummaryOffset(group_opcode=opcode, group_start=summary_start + start, group_length=summary.count - start)
@@ -298,8 +313,20 @@ class Part:
         self._append(self._waiting.end())
 
     def close(self) -> None:
-        """Close the file."""
-        os.close(self._file)
+        """Close the file; calling it again does nothing."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+    def _named(self, counts: dict[int, int]) -> dict[tuple[str, str], int]:
+        """Sum up counts of channels by topic and publisher, without what repeats the part before."""
+        named: dict[tuple[str, str], int] = {}
+        for id, count in counts.items():
+            channel = self._channels[id - 1]
+            if REPEATED not in channel.metadata:
+                name = (channel.topic, channel.metadata.get("publisher", ""))
+                named[name] = named.get(name, 0) + count
+        return named
 
     def _write_waiting(self) -> None:
         if not self._waiting.count:
@@ -314,7 +341,8 @@ class Part:
         self._metadata_indexes += [MetadataIndex(offset + at, length, name) for at, length, name in self._waiting_metadata]
         self._waiting_metadata.clear()
 
-    def _append(self, *buffers: bytes) -> None:
+    def _append(self, *buffers: bytes | memoryview) -> None:
+        assert self._file is not None
         total = sum(map(len, buffers))
         try:
             written = os.pwritev(self._file, buffers, self.size)
@@ -327,3 +355,23 @@ class Part:
                 os.ftruncate(self._file, self.size)
             raise
         self.size += total
+
+
+def _lock(file: int) -> None:
+    """Lock a file that was just created; a reader that looks at it at this moment holds the lock for microseconds."""
+    for _ in range(_LOCK_TRIES):
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            return
+        except BlockingIOError:
+            time.sleep(0.001)
+        except OSError:
+            return  # a file system without locks: readers take the file for one that was cut short
+
+
+def _sync_folder(folder: Path) -> None:
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)

@@ -1,4 +1,4 @@
-"""What messages say in words, for the log panels of viewers."""
+"""Words for people: of counts, and of what messages say in the log panels of viewers."""
 
 from __future__ import annotations
 
@@ -18,6 +18,11 @@ class Words(NamedTuple):
     text: str
 
 
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun: "1 message", "2 messages"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
 def words_of(key: str, message: Message) -> Words | None:
     """Return what a message says, None when it says nothing in words."""
     match message:
@@ -30,7 +35,9 @@ def words_of(key: str, message: Message) -> Words | None:
             level = "warning" if message.state == "degraded" else "debug"
             return Words(level, message.service, f"{message.state} {message.reason}".rstrip())
         case Gap():
-            return Words("error", "recorder", f"{message.missed} messages of {message.key} from {message.publisher} lost")
+            return Words(
+                "error", "recorder", f"{counted(message.missed, 'message')} of {message.key} from {message.publisher} lost"
+            )
         case Control():
             return Words("info", "control", message.action + _wish(message))
         case Motion():

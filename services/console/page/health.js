@@ -15,7 +15,7 @@ export class Health {
     this.table = make('table', {},
       make('thead', {}, make('tr', {}, head('service', 'Process'), head('state', 'What it says of itself'),
         head('up', 'Time since it started', '.number'), head('heard', 'Age of its last report, s', '.number'),
-        head('lost', 'Messages known to be missing', '.number'), head('bad', 'Messages it could not use: malformed, making no sense, or failed to handle', '.number'),
+        head('lost', 'Messages known to be missing', '.number'), head('bad', 'Messages that could not be used: malformed, set aside, or failed to be handled', '.number'),
         head('reason', 'What is wrong'))), this.body);
     const { root } = panel('health', 'Services', 'How each process does; a reason where one is in trouble.',
       make('div.scroll', { tabindex: '0', 'aria-label': 'Services' }, this.table, this.empty));
