@@ -1,6 +1,7 @@
 """Figures: which games are shown, who is which colour, how large they are on disk, what charts say of their numbers."""
 
 import json
+import signal
 import subprocess
 import sys
 from collections import Counter
@@ -23,6 +24,8 @@ from tests.learning.made_weights import play_dataset
 from vantage.perception.palette import OTHER, OWN, view_for_people, view_palette
 from vantage.world.arena import ROBOT_COLORS
 from vantage.world.layout import make_layout
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
@@ -90,6 +93,27 @@ def test_figures_that_are_there_are_replaced_only_when_asked(dataset: Dataset, t
     assert forced.returncode == 0, forced.stderr
     assert Image.open(tmp_path / "training-pairs.png").mode == "RGB"
     assert json.loads((tmp_path / "figures.json").read_text())["figures"].keys() == {"training-pairs.png"}
+
+
+def test_stopped_it_keeps_finished_figures_and_nothing_half(dataset: Dataset, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "vantage.cli", "figures", "--data", str(dataset.folder), "--weights", str(tmp_path / "none")]
+    command += ["--results", str(DOCS / "results"), "--to", str(tmp_path / "to")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as drawing:
+        assert drawing.stdout is not None
+        assert drawing.stdout.readline().endswith("training-pairs.png\n")
+        drawing.send_signal(signal.SIGINT)
+        said, complaints = drawing.communicate()
+    finished = ["training-pairs.png", *(Path(line).name for line in said.splitlines())]
+    assert "Traceback" not in complaints
+    if drawing.returncode:  # else it was done already
+        assert drawing.returncode == 130
+        assert "figures: stopped; finished figures are kept" in complaints.splitlines()[-1]
+        assert not (tmp_path / "to/figures.json").exists()
+    for path in (tmp_path / "to").iterdir():
+        assert not path.name.startswith("."), "nothing half"
+        if path.suffix == ".png":
+            Image.open(path).load()
+    assert {path.name for path in (tmp_path / "to").glob("*.png")} >= set(finished)
 
 
 def test_shown_games_are_test_games_with_their_own_boxes_and_poses(dataset: Dataset) -> None:
