@@ -43,7 +43,7 @@ class Case:
 
     Attributes:
         command: its words, in a folder that holds `data` (a small training set and its logs) and `cut.mcap`; FOLDER stands for
-            a runtime folder, WEIGHTS for the released weights, LOG for one of the logs.
+            a runtime folder, WEIGHTS for the released weights, VIEWS for those of VPT-TOB, LOG for one of the logs.
         endless: s within which it is interrupted, for a command that does not end by itself.
         on_a_table: whether FOLDER is that of a running deployment.
         afterwards: a command that ends what it has started.
@@ -68,9 +68,7 @@ CASES = (
     Case("log export LOG --to lerobot --without-catching --output exported"),
     Case("log recover cut.mcap --to recovered.mcap"),
     Case("train vpt-tob --data data/dataset --preset compact --minutes 0.3 --to trained/vpt-tob.safetensors"),
-    Case(
-        "train vpn --data data/dataset --views WEIGHTS/vpt-tob.safetensors --preset compact --minutes 0.3 --to trained/n.safetensors"
-    ),
+    Case("train vpn --data data/dataset --views VIEWS --preset compact --minutes 0.3 --to trained/vpn.safetensors"),
     Case("train caught --data data/dataset --preset compact --minutes 0.3 --to trained/hazard.safetensors"),
     Case("evaluate --data data/dataset --weights WEIGHTS --to results/accuracy"),
     Case("evaluate maps --weights WEIGHTS --starts 2 --simulations 200 --to results/maps"),
@@ -139,8 +137,8 @@ class Stage:
 
     def words(self, command: str, runtime: Path) -> list[str]:
         """Return the words of a command, with everything that stands for a path filled in."""
-        filled = command.replace("WEIGHTS", str(ROOT / "weights")).replace("FOLDER", str(runtime)).replace("LOG", str(self.log))
-        return shlex.split(filled)
+        paths = {"WEIGHTS": ROOT / "weights", "VIEWS": ROOT / "weights/vpt-tob.safetensors", "FOLDER": runtime, "LOG": self.log}
+        return [str(paths.get(word, word)) for word in command.split()]
 
     def close(self) -> None:
         shutil.rmtree(self.home, ignore_errors=True)
