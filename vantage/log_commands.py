@@ -20,7 +20,15 @@ from vantage.log.recover import recover as rewrite
 from vantage.log.report import info as describe
 from vantage.printable import printable
 
-console = Console(highlight=False)
+
+class _Output(Console):
+    """A console that leaves it to `vantage.cli` what becomes of a reader that goes away, as `head` does."""
+
+    def on_broken_pipe(self) -> None:
+        raise
+
+
+console = _Output(highlight=False)
 complaints = Console(highlight=False, stderr=True)
 
 Source = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
@@ -135,6 +143,6 @@ def export(settings: Export) -> int:
     return 2 if done.breaks else 0
 
 
-def print_plain(text: str, to: Console | None = None, style: str = "") -> None:
+def print_plain(text: str, to: Console = console, style: str = "") -> None:
     """Print a line that holds names from files, without what a terminal would obey."""
-    (to or console).print(Text(printable(text, 10_000), style), soft_wrap=True)
+    to.print(Text(printable(text, 10_000), style), soft_wrap=True)

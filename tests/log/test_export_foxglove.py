@@ -159,12 +159,12 @@ def test_a_disk_that_is_full_but_for_a_little_is_full(tmp_path: Path, monkeypatc
     """What closing writes may fit where a whole chunk did not: the copy is short all the same."""
     write_chunk, calls = Part.write_chunk, 0
 
-    def once_full(self: Part, group: str) -> None:
+    def once_full(self: Part, group: str) -> bool:
         nonlocal calls
         calls += 1
         if calls == 1:
             raise ChunkLost(OSError(errno.ENOSPC, "No space left on device"), {("hider/color", "simulator"): 1})
-        write_chunk(self, group)
+        return write_chunk(self, group)
 
     monkeypatch.setattr(Part, "write_chunk", once_full)
     with pytest.raises(OSError, match=f"No space left on device: '{tmp_path / 'out.mcap'}'"):
