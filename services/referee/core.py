@@ -43,6 +43,9 @@ __all__ = ["RefereeCore", "RefereeSettings"]
 
 KNOWN_REQUESTS = 256
 """Requests that are remembered, so that none is played twice."""
+SET_UP_SPACING = SECOND // 10
+"""ns between the set-ups of games that are replaced before the world has answered: however often games are asked for, the world
+has no backlog of set-ups."""
 
 
 class RefereeCore:
@@ -68,6 +71,7 @@ class RefereeCore:
         self._drivers = HiderDrivers(self._settings.required, int(self._settings.driver_patience * SECOND))
         self._driver_until: int | None = None  # until when the set-up waits for who drives the hider
         self._set_up_at = 0
+        self._unanswered = False  # the last game was given up before the world had set it up
         self._listening_since: int | None = None
         self._troubles = Troubles(self._settings.required)
         self._patience = Patience(int(self._settings.outage_patience * SECOND))
@@ -273,6 +277,9 @@ class RefereeCore:
     def _begin_if_possible(self, now: int) -> Sequence[Send]:
         if self._held or self._series.left == 0:
             return ()
+        if self._unanswered and now < self._set_up_at + SET_UP_SPACING:
+            self._wake = self._set_up_at + SET_UP_SPACING
+            return ()
         if self._troubles.missing(self._alive):
             self._driver_until = None
             return ()
@@ -290,6 +297,7 @@ class RefereeCore:
         self._poses.clear()
         self._phase = Phase.SETUP
         self._set_up_at = now
+        self._unanswered = False
         self._patience.begin(now)
         self._wake = now + int(self._settings.setup_patience * SECOND)
         setup = self._episode("setup", now)
@@ -368,6 +376,7 @@ class RefereeCore:
 
     def _abort(self, reason: str, now: int) -> Sequence[Send]:
         episode = self._episode("aborted", now, reason=reason)
+        self._unanswered = self._phase is Phase.SETUP
         self._rest(now)
         return (episode,)
 
