@@ -216,7 +216,8 @@ def _play(found: Findings) -> list[str]:
 def _views(found: Findings) -> list[str]:
     names = ("training-pairs.png", "predicted-views.png", "side-by-side.png")
     drawn = [line for name in names for line in _figure(found, name)]
-    return ["## What is predicted", "", f"Networks: `{found.compared}`.", "", *drawn] if drawn else []
+    networks = read(found.folder / "figures/figures.json").get("networks", found.compared)
+    return ["## What is predicted", "", f"Networks: `{networks}`.", "", *drawn] if drawn else []
 
 
 def _levers(experiments: Path) -> list[str]:

@@ -101,7 +101,7 @@ def _played(found: dict[str, Any], report: dict[str, Any]) -> list[str]:
         "goal chosen by",
         "steps survived",
         f"more than by {report['against']}, expected",
-        "V (lower is safer)",
+        "danger V",
         "caught by 100",
         "by 200",
         "by T",

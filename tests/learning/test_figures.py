@@ -1,6 +1,7 @@
 """Figures: which games are shown, who is which colour, how large they are on disk, what charts say of their numbers."""
 
 import json
+import signal
 import subprocess
 import sys
 from collections import Counter
@@ -16,13 +17,15 @@ from learning.figures import charts, games, maps
 from learning.figures.command import CAPTIONS
 from learning.figures.style import METHODS, TITLES, VIEW_LEGEND, arena, new_figure, robot, save, show_image
 from learning.methods.table import METHODS as METHOD_TABLE
-from learning.reproduce.tables import table_two
+from learning.reproduce.tables import Findings, table_two
 from learning.value_maps.play import BEST, OUTCOMES, UNIFORM
 from learning.value_maps.report import ANOTHER, ONE_SIMULATION
 from tests.learning.made_weights import play_dataset
 from vantage.perception.palette import OTHER, OWN, view_for_people, view_palette
 from vantage.world.arena import ROBOT_COLORS
 from vantage.world.layout import make_layout
+
+DOCS = Path(__file__).parents[2] / "docs"
 
 
 @pytest.fixture(scope="module")
@@ -92,6 +95,27 @@ def test_figures_that_are_there_are_replaced_only_when_asked(dataset: Dataset, t
     assert json.loads((tmp_path / "figures.json").read_text())["figures"].keys() == {"training-pairs.png"}
 
 
+def test_stopped_it_keeps_finished_figures_and_nothing_half(dataset: Dataset, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "vantage.cli", "figures", "--data", str(dataset.folder), "--weights", str(tmp_path / "none")]
+    command += ["--results", str(DOCS / "results"), "--to", str(tmp_path / "to")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as drawing:
+        assert drawing.stdout is not None
+        assert drawing.stdout.readline().endswith("training-pairs.png\n")
+        drawing.send_signal(signal.SIGINT)
+        said, complaints = drawing.communicate()
+    finished = ["training-pairs.png", *(Path(line).name for line in said.splitlines())]
+    assert "Traceback" not in complaints
+    if drawing.returncode:  # else it was done already
+        assert drawing.returncode == 130
+        assert "figures: stopped; finished figures are kept" in complaints.splitlines()[-1]
+        assert not (tmp_path / "to/figures.json").exists()
+    for path in (tmp_path / "to").iterdir():
+        assert not path.name.startswith("."), "nothing half"
+        if path.suffix == ".png":
+            Image.open(path).load()
+    assert {path.name for path in (tmp_path / "to").glob("*.png")} >= set(finished)
+
+
 def test_shown_games_are_test_games_with_their_own_boxes_and_poses(dataset: Dataset) -> None:
     shown = games.chosen_games(dataset)
     test = set(dataset.of_split("test").tolist())
@@ -148,13 +172,14 @@ def texts(figure: Figure) -> str:
     return "\n".join([*inside, *(text.get_text() for legend in figure.legends for text in legend.get_texts())])
 
 
-def test_table_two_stands_beside_the_papers() -> None:
+def test_table_two_stands_beside_the_papers(tmp_path: Path) -> None:
     report = ranking_report()
-    rows = table_two(report, "with_ties", with_paper=True)
+    (tmp_path / "results").mkdir()
+    (tmp_path / "results/maps.json").write_text(json.dumps(report))
+    (tmp_path / "results/accuracy.json").write_text(json.dumps({"methods": {}}))
+    rows = table_two(Findings(tmp_path), "expected", "with_ties", with_paper=True)
     assert any("75.29 ± 12.23" in row and "72.77 ± 10.82" in row and "-2.52" in row for row in rows)
-    assert any(
-        "VPT-TOB + VPN, expected" in row and "70.0" in row and "68.0" in row and "-2.0 [-7.0, +3.0]" in row for row in rows
-    )
+    assert any("VPT-TOB + VPN" in row and "70.0" in row and "68.0" in row and "-2.0 [-7.0, +3.0]" in row for row in rows)
     figure = charts.table_two(report)
     assert "the paper" in texts(figure) and "VPT-TOB + VPN" in texts(figure) and ANOTHER in texts(figure)
     papers = [line for line in figure.axes[0].lines if line.get_color() == "black"]

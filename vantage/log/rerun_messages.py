@@ -195,7 +195,7 @@ class Shown:
         if request is not None:
             self._asked.remove(request)
             risk = caught.reshape(request.path_count, len(request.horizons))
-            self._log("risk/safest-goal", rerun.Scalars([float(risk.mean(axis=1).min())]))
+            self._log("risk/lowest-of-all-goals", rerun.Scalars([float(risk.mean(axis=1).min())]))
             self._log("risk/mean-of-all-goals", rerun.Scalars([float(risk.mean())]))
         if reply.views:
             views = [np.frombuffer(view, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3) for view in reply.views]
