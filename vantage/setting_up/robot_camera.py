@@ -126,7 +126,7 @@ def read_depth(path: Path) -> Depths:
     if not path.is_file():
         raise TableTrouble(f"there is no depth picture {path}: give realsense, realsense:SERIAL, a *.npz or a 16-bit *.png")
     if path.suffix == ".npz":
-        (depth,) = read_arrays(path, "depth")
+        depth: npt.NDArray[Any] | None = read_arrays(path, "depth")[0]
     else:
         depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if depth is None or depth.ndim != 2 or depth.dtype != np.uint16:
