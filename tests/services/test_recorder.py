@@ -271,7 +271,7 @@ def read_quietly(path: Path) -> list[Record]:
 
 def sequences_of_poses(folder: Path) -> set[int]:
     """Sequence numbers of the poses that can be read back, also while the log is being written."""
-    return {record.sequence for record in quiet_read(folder / "logs") if record.key == "hider/pose"}
+    return {record.sequence for record in read_quietly(folder / "logs") if record.key == "hider/pose"}
 
 
 def pose(number: int) -> Pose:
