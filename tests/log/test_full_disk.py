@@ -202,17 +202,29 @@ def test_a_folder_that_cannot_be_made_again_is_said(tmp_path: Path) -> None:
     assert found_in(tmp_path / "logs") == (list(range(20, 30)), 20)
 
 
+def test_a_link_that_leads_nowhere_gets_its_folder(tmp_path: Path) -> None:
+    """As `recordings` in the folder of a deployment, when the logs were deleted."""
+    (tmp_path / "recordings").symlink_to(tmp_path / "logs" / "deleted")
+    log = writer(tmp_path / "recordings")
+    put(log, 10, 0)
+    log.close()
+    assert found_in(tmp_path / "logs" / "deleted") == (list(range(10)), 0)
+
+
 def test_without_keep_going_nothing_is_lost_unseen(any_disk: Disk) -> None:
     log = LogWriter(any_disk.folder / "log.mcap", RunMetadata(), chunk_size=1000)
     any_disk.fill()
     with pytest.raises(OSError, match="No space left on device") as raised, log:
         put(log, 1000, 0)
     assert raised.value.filename == str(log.part)
-    other = LogWriter(any_disk.folder.parent / "other.mcap", {}) if isinstance(any_disk, RefusingDisk) is False else None
-    if other is not None:
-        other.part.unlink()
-        with pytest.raises(FileNotFoundError, match="deleted while it was being written"):
-            other.close()
+
+
+def test_a_log_that_is_deleted_under_a_strict_writer_is_an_error(tmp_path: Path) -> None:
+    log = LogWriter(tmp_path / "log.mcap", {})
+    log.part.unlink()
+    with pytest.raises(FileNotFoundError, match="deleted while it was being written"):
+        log.close()
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_recover_on_a_full_disk_leaves_nothing_and_goes_on_when_there_is_room(any_disk: Disk, tmp_path: Path) -> None:
