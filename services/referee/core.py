@@ -98,10 +98,14 @@ class RefereeCore:
         """Wait longer, up to a limit, for those who are late because this machine is too slow. Returns whether it does."""
         if self._phase not in (Phase.SETUP, Phase.COMMANDS, Phase.POSES) or not self._troubles.too_slow():
             return False
-        limit = self._settings.slow_patience
-        if self._phase is Phase.COMMANDS:
-            limit = 0.0 if self._series.players.hider == HUMAN else 0.25 * limit
-        since = self._set_up_at + int(self._settings.setup_patience * SECOND) if self._phase is Phase.SETUP else self._ticked_at
+        limit, since = self._settings.slow_patience, self._ticked_at
+        if self._phase is Phase.SETUP:
+            since = self._set_up_at + int(self._settings.setup_patience * SECOND)
+        elif self._phase is Phase.COMMANDS:
+            since = self._deadline
+            if now < since or self._series.players.hider == HUMAN:
+                return False
+            limit = 3.0 * self._settings.planning_patience if self._step == 0 else 0.25 * limit
         if now - since >= limit * SECOND:
             return False
         self._wake = now + SECOND // 2
@@ -134,7 +138,7 @@ class RefereeCore:
                 return ()
             late = cast("tuple[Robot, ...]", tuple(robot for robot in ROBOTS if robot not in self._commanded))
             if self._series.rules.step_period == 0.0 or self._step == 0:
-                return self._abort(f"no command from the {' or the '.join(late)} for step {self._step}", now)
+                return self._give_up(f"no command from the {' or the '.join(late)} for step {self._step}", now)
             self._wait_for_poses(now)
             return (Publish("tick", Tick(stamp=now, episode=self._number, step=self._step, late=late)),)
         if self._phase is Phase.POSES:

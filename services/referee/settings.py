@@ -44,5 +44,5 @@ class RefereeSettings:
     step_patience: float = 3.0
     """Seconds to wait for the poses after a step before the game is aborted."""
     slow_patience: float = 20.0
-    """Seconds to wait for them instead, and for a robot's command a quarter of it, while a service says that this machine is too
-    slow: games slow down then."""
+    """Seconds to wait for them instead while a service says that this machine is too slow: games slow down then. Robots' commands
+    get a quarter of it more, the first ones three times their patience."""
