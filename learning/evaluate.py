@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from learning.accuracy.examples import STARTS, Start, blind_logits, draw_examples, frequency_logits
 from learning.accuracy.page import fewer, page_of, table_of
 from learning.accuracy.report import CLOCK, MAJORITY, ORACLE, VIEW_ORACLE, judged, without_nan
-from learning.dataset import Dataset, Samples
+from learning.dataset import DEFAULT_DATASET, Dataset, Samples
 from learning.methods.machine import Machine
 from learning.methods.method import Method
 from learning.methods.table import ABLATIONS, METHODS, load_methods
@@ -34,7 +34,7 @@ class EvaluateSettings:
     Example: vantage evaluate --data dataset/ --weights weights/ --samples 1000 10000 --horizons 100 200 --oracle 50
     """
 
-    data: Path = Path("dataset")
+    data: Path = DEFAULT_DATASET
     """The training set; its test episodes are judged, its training episodes tell what the horizon alone is worth."""
     weights: Path = Path("weights")
     """Folder with the weights; methods whose weights are not there are left out."""

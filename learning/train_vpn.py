@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from learning.dataset import Batch, Dataset, Samples, prefetch
+from learning.dataset import DEFAULT_DATASET, Batch, Dataset, Samples, prefetch
 from learning.group import Group, join_group
 from learning.measures import measures_of_logits
 from learning.recipe import VPN_PRESETS, VpnRecipe, rate_factor, vpn_notes_of
@@ -38,7 +38,7 @@ class TrainVpnSettings:
     Example: vantage train vpn --data dataset/ --views weights/vpt-tob.safetensors --preset compact
     """
 
-    data: Path = Path("dataset")
+    data: Path = DEFAULT_DATASET
     """The training set."""
     views: Path = Path("weights/vpt-tob.safetensors")
     """Weights whose predictions it learns from: of any network that predicts a view."""

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from learning.compiling import Compile
+from learning.dataset import DEFAULT_DATASET
 from learning.group import Group
 from learning.recipe import Schedule
 from vantage.cores import available_cores
@@ -20,7 +21,7 @@ class TrainingSettings:
     """Each training names its own."""
     preset: str
     """Each training names its own."""
-    data: Path = Path("dataset")
+    data: Path = DEFAULT_DATASET
     """The training set."""
     to: Path | None = None
     """Where the weights go, runs/MODEL.safetensors if not said; the model card lies beside them."""

@@ -9,11 +9,6 @@ from learning.dataset import UnusableDataset
 from vantage.log import LogWriter
 
 
-def test_no_logs_named(tmp_path: Path) -> None:
-    with pytest.raises(UnusableDataset, match="name the logs"):
-        convert([], tmp_path / "dataset", quiet=True)
-
-
 def test_a_training_set_is_not_replaced_by_nothing(tmp_path: Path) -> None:
     with LogWriter(tmp_path / "empty.mcap", {}, sync=False):
         pass
@@ -21,6 +16,6 @@ def test_a_training_set_is_not_replaced_by_nothing(tmp_path: Path) -> None:
     dataset.mkdir()
     (dataset / "manifest.json").write_text("{}")
     with pytest.raises(UnusableDataset, match="left as it was"):
-        convert([tmp_path / "empty.mcap"], dataset, workers=1, quiet=True)
+        convert([tmp_path / "empty.mcap"], dataset, workers=1, quiet=True, force=True)
     assert (dataset / "manifest.json").read_text() == "{}"
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith("dataset")] == ["dataset"]

@@ -21,6 +21,7 @@ from mcap.writer import CompressionType, Writer
 from schemas import TOPICS, Layout, Pose, encode
 from tests.log.making import START, game, records_of, write_log, write_record
 from vantage.log import LogWriter, Record, RunMetadata, find_logs, open_log, read
+from vantage.log.reader import NoSuchLog
 
 Compression = Literal["zstd", "lz4", "none"]
 every_compression = pytest.mark.parametrize("compression", ["zstd", "lz4", "none"])
@@ -176,7 +177,7 @@ def test_an_empty_log_reads(tmp_path: Path) -> None:
 
 
 def test_no_log_is_said_clearly(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="no log"):
+    with pytest.raises(NoSuchLog, match="no log"):
         list(read(tmp_path))
 
 

@@ -17,7 +17,7 @@ import schemas
 from learning.collect import CollectSettings, play_block
 from learning.hiders.open_loop import OpenLoop
 from learning.hiders.table import HIDERS
-from schemas import Command, Pose, Rules, Topic
+from schemas import Command, Pose, Topic
 from schemas import messages as m
 from vantage import service
 from vantage.log import read
@@ -59,7 +59,7 @@ def test_the_layout(tmp_path: Path) -> None:
     path.write_text(text)
     boxes = make_layout(str(path), seed=1)
     assert len(boxes) == 3
-    settings = CollectSettings(episodes=1, hider="goal-walk", rules=Rules(maximum_steps=5, catching=False, layout=str(path)))
+    settings = CollectSettings(games=1, hider="goal-walk", steps=5, catching=False, layout=str(path))
     assert play_block(settings, range(1, 2), tmp_path / "game.mcap") == 5
 
 
@@ -69,7 +69,7 @@ def test_the_hider_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
     exec(class_text, names)
     (row,) = re.findall(r"The row: `\"turner\": (.*),`", PAGE.read_text())
     monkeypatch.setitem(HIDERS, "turner", eval(row, names))
-    settings = CollectSettings(episodes=2, hider="turner", rules=Rules(maximum_steps=8, catching=False))
+    settings = CollectSettings(games=2, hider="turner", steps=8, catching=False)
     play_block(settings, range(1, 3), tmp_path / "game.mcap")
     played: dict[int, set[str]] = {}
     for record in read(tmp_path / "game.mcap", topics=("hider/command",)):

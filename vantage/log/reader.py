@@ -132,7 +132,7 @@ def find_logs(source: Path) -> list[list[Path]]:
             written as parts are one log. In a folder, hidden files and copies for viewers (`vantage log export`) are no logs.
 
     Raises:
-        FileNotFoundError: there is none.
+        NoSuchLog: there is none.
     """
     if source.is_file():
         return [[source]]
@@ -147,7 +147,7 @@ def find_logs(source: Path) -> list[list[Path]]:
         is_part = run is not None and PART in metadata
         logs.setdefault(path.with_name(run[1]) if run and is_part else path, []).append(path)
     if not logs:
-        raise FileNotFoundError(f"{source}: no log (*.mcap) there")
+        raise NoSuchLog(f"{source}: no log (*.mcap) there")
     return list(logs.values())
 
 
@@ -158,10 +158,7 @@ def parts_of(run: Path) -> list[Path]:
         NoSuchLog: there is none, there are several, or it is a later part.
     """
     if run.is_dir():
-        try:
-            logs = find_logs(run)
-        except FileNotFoundError as error:
-            raise NoSuchLog(str(error)) from None
+        logs = find_logs(run)
         if len(logs) > 1:
             listed = "\n".join(f"  {parts[0]}  {_size(parts)}" for parts in logs[:MOST_LISTED])
             more = f"\n  and {len(logs) - MOST_LISTED} more" if len(logs) > MOST_LISTED else ""

@@ -1,4 +1,4 @@
-"""What messages say in words, for the log panels of viewers."""
+"""Words for people: of counts, and of what messages say in the log panels of viewers."""
 
 from __future__ import annotations
 
@@ -16,6 +16,11 @@ class Words(NamedTuple):
     level: Level
     name: str
     text: str
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun: "1 message", "2 messages"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def words_of(key: str, message: Message) -> Words | None:
