@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from learning.dataset import DEFAULT_DATASET, EPISODE, PLAN, SCHEMA_VERSION, STEP, UnusableDataset, key_of
+from learning.dataset_tables import Sizes, by_split, episodes_chosen, names_counted, rows_kept, shift_rows
 from learning.splits import SPLITS, split_of
 from learning.workers import results_of, worker_count
 from schemas import ROBOTS
@@ -31,9 +32,6 @@ from vantage.log.words import counted
 from vantage.output import AlreadyExists, complete, remove_abandoned
 from vantage.perception.state_image import perceive
 from vantage.printable import printable
-
-Sizes = tuple[int, int, int]
-"""Games of the training, validation and test split."""
 
 NAMES = ("hider", "seeker", "layout")
 TOPICS = EPISODE_TOPICS - {"tick", "hider/command", "seeker/command", "hider/view", "seeker/view"}
@@ -56,20 +54,6 @@ class ConvertSettings:
     """Replace an older training set; nothing else is ever replaced."""
     workers: int = 0
     """Worker processes; 0 = one for each core."""
-
-
-class TooFewGames(UnusableDataset):
-    """Fewer games can serve than are wanted; `lacking` holds how many, hider -> by split."""
-
-    def __init__(self, lacking: dict[str, Sizes]) -> None:
-        self.lacking = lacking
-        counts = (f"{by_split(sizes)} of `{hider}`" for hider, sizes in lacking.items())
-        super().__init__(f"the logs hold too few games, lacking are {', '.join(counts)}: gather more")
-
-
-def by_split(sizes: Iterable[int]) -> str:
-    """Return the sizes of the splits for people: "11 train, 3 validation, 2 test"."""
-    return ", ".join(f"{size:,} {split}" for split, size in zip(SPLITS, sizes, strict=True))
 
 
 @dataclass
@@ -225,6 +209,7 @@ def convert(
     quiet: bool = False,
     wanted: Mapping[str, Sizes] | None = None,
     force: bool = False,
+    need_every_log: bool = False,
 ) -> dict[str, Any]:
     """Convert logs into a training set; returns its manifest. Logs that are cut short or damaged are left out, with a line each.
 
@@ -232,12 +217,14 @@ def convert(
         quiet: show no progress.
         wanted: hider -> how many of its games each split is to have: those of the lowest seeds. None = all games.
         force: replace a training set that is there.
+        need_every_log: leave no log out.
 
     Raises:
         NoSuchLog: there are no logs.
         TooFewGames: fewer games can serve than are wanted; what is in `to` is left as it was.
         AlreadyExists: see `force`.
-        UnusableDataset: no game in the logs can serve, or `to` exists and is no training set: then it is not replaced.
+        UnusableDataset: no game in the logs can serve, a log is broken that must not be left out, or `to` exists and is no
+            training set: then it is not replaced.
         OSError: of the disk; what is in `to` is left as it was.
     """
     is_empty = to.is_dir() and not any(to.iterdir())
@@ -251,14 +238,17 @@ def convert(
         partial.mkdir()
         tasks = [(list(parts), partial / f"images.{number:06d}") for number, parts in enumerate(logs)]
         found = _convert_logs(tasks, workers, quiet)
+        broken = [f"{parts[0]}: {one.broken}" for (parts, _), one in zip(tasks, found, strict=True) if one.broken]
+        if need_every_log and broken:
+            raise UnusableDataset(f"{printable(broken[0])}: remove this log and run it again, its games are then played again")
+        for line in broken:
+            print(f"left out: {printable(line)}: `vantage log recover` saves what is whole", file=sys.stderr)
         manifest = _write(partial, tasks, found, wanted, to)
-        if to.exists() and not force and any(to.iterdir()):
-            raise AlreadyExists(to, "choose another name with --to, or replace it with --force")
     return manifest
 
 
 def _convert_logs(tasks: list[tuple[list[Path], Path]], workers: int, quiet: bool) -> list[Converted]:
-    """Convert every log, and print a line for each that is left out."""
+    """Convert every log."""
     found = [Converted() for _ in tasks]
     columns = (TextColumn("converting"), BarColumn(), MofNCompleteColumn(), TextColumn("logs"))
     with (
@@ -269,10 +259,6 @@ def _convert_logs(tasks: list[tuple[list[Path], Path]], workers: int, quiet: boo
         for index, converted in results:
             found[index] = converted
             progress.advance(bar)
-    for (parts, _), converted in zip(tasks, found, strict=True):
-        if converted.broken:
-            line = f"{parts[0]}: {converted.broken}: `vantage log recover` saves what is whole"
-            print(f"left out: {printable(line)}", file=sys.stderr)
     return found
 
 
@@ -291,13 +277,13 @@ def _write(
         )
     parts_of_tables = [converted.tables for _, _, converted in whole]
     tables = {name: np.concatenate([part[name] for part in parts_of_tables]) for name in parts_of_tables[0]}
-    _shift_rows(tables, parts_of_tables)
+    shift_rows(tables, parts_of_tables)
     lengths, kept = tables["lengths"], np.ones(len(tables["episodes"]), np.bool_)
     if wanted is not None:
-        kept = _chosen(tables["episodes"], wanted)
+        kept = episodes_chosen(tables["episodes"], wanted)
         left_out["beyond the wanted size"] += int((~kept).sum())
     image_kept = np.repeat(np.repeat(kept, tables["episodes"]["steps"]), 2)
-    tables = _only(tables, kept, image_kept)
+    tables = rows_kept(tables, kept, image_kept)
     digest = hashlib.sha256()
     first = 0
     with (partial / "images.lz4").open("wb") as out:
@@ -320,7 +306,10 @@ def _write(
         "commit": source_commit(),
         "hash": digest.hexdigest(),
         "episodes": {split: int((episodes["split"] == number).sum()) for number, split in enumerate(SPLITS)},
-        **{f"{name}s": _counts(episodes[name], name, [converted.names[name] for _, _, converted in whole]) for name in NAMES},
+        **{
+            f"{name}s": names_counted(episodes[name], name, [converted.names[name] for _, _, converted in whole])
+            for name in NAMES
+        },
         "horizons": sorted({int(horizon) for horizon in episodes["horizon"]}),
         "caught": int((episodes["caught_step"] >= 0).sum()),
         "steps": len(tables["steps"]),
@@ -329,61 +318,6 @@ def _write(
     }
     (partial / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
     return manifest
-
-
-def _counts(keys: NDArray[np.bytes_], field: str, names: Iterable[set[str]]) -> dict[str, int]:
-    """Return whole name -> how many episodes have it."""
-    known = {key_of(name, field): name for some in names for name in some}
-    return dict(sorted(Counter(known[key] for key in keys.tolist()).items()))
-
-
-def _shift_rows(tables: dict[str, NDArray[Any]], parts: list[dict[str, NDArray[Any]]]) -> None:
-    """Turn row numbers within a log into row numbers within the whole."""
-    done: Counter[str] = Counter()
-    for part in parts:
-        episodes, steps, plans = (slice(done[name], done[name] + len(part[name])) for name in ("episodes", "steps", "plans"))
-        tables["episodes"]["first_step"][episodes] += done["steps"]
-        in_force = tables["steps"]["plan"][steps]
-        in_force[in_force >= 0] += done["plans"]
-        tables["plans"]["first_position"][plans] += done["positions"]
-        for name in ("episodes", "steps", "plans", "positions"):
-            done[name] += len(part[name])
-
-
-def _chosen(episodes: NDArray[Any], wanted: Mapping[str, Sizes]) -> NDArray[np.bool_]:
-    """Return which episodes [n] make up the wanted sizes: of each hider and split those of the lowest seeds."""
-    kept = np.zeros(len(episodes), np.bool_)
-    lacking = {}
-    for hider, sizes in wanted.items():
-        of_hider = episodes["hider"] == key_of(hider, "hider")
-        short = [0, 0, 0]
-        for split, size in enumerate(sizes):
-            rows = np.flatnonzero(of_hider & (episodes["split"] == split))
-            kept[rows[np.argsort(episodes["seed"][rows], kind="stable")][:size]] = True
-            short[split] = max(0, size - len(rows))
-        if any(short):
-            lacking[hider] = (short[0], short[1], short[2])
-    if lacking:
-        raise TooFewGames(lacking)
-    return kept
-
-
-def _only(tables: dict[str, NDArray[Any]], kept: NDArray[np.bool_], image_kept: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Return the tables without the episodes that are not kept [n]."""
-    steps, plans = image_kept[::2], np.repeat(kept, tables["plan_counts"])
-    only = {
-        "episodes": tables["episodes"][kept],
-        "steps": tables["steps"][steps],
-        "plans": tables["plans"][plans],
-        "positions": tables["positions"][np.repeat(plans, tables["plans"]["positions"])],
-        "lengths": tables["lengths"][image_kept],
-    }
-    in_force = only["steps"]["plan"]
-    in_force[:] = np.where(in_force >= 0, (np.cumsum(plans) - 1)[in_force], -1)
-    for table, count, row in (("episodes", "steps", "first_step"), ("plans", "positions", "first_position")):
-        counts = only[table][count].astype(np.int64)
-        only[table][row] = np.cumsum(counts) - counts
-    return only
 
 
 def warn_of_empty_splits(manifest: Mapping[str, Any]) -> None:

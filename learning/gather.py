@@ -21,7 +21,8 @@ from typing import Any, Literal
 
 from learning.collect import CollectSettings, logs_of
 from learning.collect import main as collect
-from learning.convert import Sizes, TooFewGames, by_split, convert, messages_hash, summary_of, warn_of_empty_splits
+from learning.convert import convert, messages_hash, summary_of, warn_of_empty_splits
+from learning.dataset_tables import Sizes, TooFewGames, by_split
 from learning.splits import SPLITS, split_of
 from vantage.errors import UserError
 from vantage.log import open_log, source_commit
@@ -227,7 +228,7 @@ def main(settings: GatherSettings) -> int:
         print(f"{len(collections) + 1} of {len(collections) + 1}: conversion", flush=True)
         logs = [path for name, collection in collections.items() if name != "evader" for path in logs_of(collection)]
         try:
-            dataset = convert(logs, settings.to / "dataset", settings.workers, wanted=wanted, force=True)
+            dataset = convert(logs, settings.to / "dataset", settings.workers, wanted=wanted, force=True, need_every_log=True)
             break
         except TooFewGames as shortage:
             spare |= {hider: _sum(spare[hider], lacking) for hider, lacking in shortage.lacking.items()}

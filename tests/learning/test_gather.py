@@ -12,9 +12,10 @@ import pytest
 
 from learning import collect, gather
 from learning.collect import LARGEST_SEED, CollectSettings
-from learning.convert import ConvertSettings, TooFewGames, convert
+from learning.convert import ConvertSettings, convert
 from learning.convert import main as convert_main
 from learning.dataset import Dataset
+from learning.dataset_tables import TooFewGames
 from learning.gather import MIXTURE, GatherSettings, Refusal, games_needed, plan, sizes_by_hider
 from learning.splits import SPLITS, split_of
 from vantage.errors import UserError
@@ -99,7 +100,7 @@ def test_interrupted_and_gone_on_gives_the_same_bits(
 
     with monkeypatch.context() as broken:
         if at == "conversion":
-            broken.setattr("learning.convert._shift_rows", fails)
+            broken.setattr("learning.convert.shift_rows", fails)
         else:
             broken.setattr(gather, "collect", breaks_off)
         with pytest.raises(Interrupted):
