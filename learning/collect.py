@@ -21,7 +21,7 @@ import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from learning.collection import LARGEST_SEED, clock_of, find_collection, missing_blocks, plain
+from learning.collection import LARGEST_SEED, clock_of, find_collection, missing_blocks, option_of, plain
 from learning.hiders.core import HiderCore
 from learning.hiders.policy import HiderPolicy
 from learning.hiders.recorded import NO_TRAJECTORIES, TrajectoriesBySplit, read_trajectories, trajectories_hash
@@ -157,8 +157,10 @@ def check(settings: CollectSettings) -> None:
     try:
         msgspec.convert(msgspec.to_builtins(settings.rules), Rules)
     except ValueError as error:
-        where = str(error).replace("$.maximum_steps", "--steps").replace("$.step_period", "--period").replace("$.", "--")
-        raise ImpossibleCollection(f"no game has such rules: {where}") from None
+        where = str(error)
+        for name in Rules.__struct_fields__:
+            where = where.replace(name, option_of(f"rules.{name}"))
+        raise ImpossibleCollection(f"no game has such rules: {where.replace('$.', '')}") from None
     try:
         make_layout(settings.layout, settings.seed)
     except ImpossibleLayout as error:

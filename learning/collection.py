@@ -58,6 +58,11 @@ def plain(settings: Any) -> Any:
     return json.loads(json.dumps(asdict(settings), default=lambda value: msgspec.to_builtins(value, enc_hook=str)))
 
 
+def option_of(name: str) -> str:
+    """Return the option of `vantage collect` that sets a field of a log's settings."""
+    return _OPTIONS.get(name, "--" + name.rpartition(".")[2].replace("_", "-"))
+
+
 def find_collection(folder: Path, identity: Mapping[str, Any], seeds_from: Callable[[int, int], list[int]]) -> Collection:
     """Return what a folder holds of a collection.
 
@@ -118,11 +123,7 @@ def _configuration_in(metadata: Mapping[str, str]) -> dict[str, Any] | None:
 def _differences(held: Mapping[str, Any], wanted: Mapping[str, Any]) -> str:
     """Return in words which settings of a log are others than those that are wanted; empty when all are the same."""
     there, here = _flat(held["settings"]), _flat(wanted["settings"])
-    lines = [
-        f"{_OPTIONS.get(name, '--' + name.rpartition('.')[2].replace('_', '-'))} {there.get(name)}, not {value}"
-        for name, value in here.items()
-        if there.get(name) != value
-    ]
+    lines = [f"{option_of(name)} {there.get(name)}, not {value}" for name, value in here.items() if there.get(name) != value]
     if not lines and (held.get("trajectories") or "") != wanted["trajectories"]:
         lines.append("other trajectories are replayed: --from, --driver")
     return "; ".join(lines)

@@ -114,7 +114,7 @@ GATHER = {
 
 @pytest.mark.parametrize("when", GATHER)
 def test_gather(tmp_path: Path, when: str) -> None:
-    command = ["gather", "--train", "60", "--validation", "2", "--test", "2", "--block", "10", "--steps", "60"]
+    command = ["gather", "--train", "30", "--validation", "2", "--test", "2", "--block", "10", "--steps", "60"]
     command += ["--workers", "2", "--to", str(tmp_path / "data")]
     process = begin(*command, folder=tmp_path)
     wait_for(lambda: GATHER[when](tmp_path), process)
@@ -124,4 +124,4 @@ def test_gather(tmp_path: Path, when: str) -> None:
     again = subprocess.run([VANTAGE, *command], capture_output=True, text=True, check=False)
     assert again.returncode == 0, again.stderr
     assert hidden(tmp_path / "data") == []
-    assert len(Dataset(tmp_path / "data" / "dataset").episodes) == 64
+    assert len(Dataset(tmp_path / "data" / "dataset").episodes) == 34
