@@ -170,7 +170,9 @@ class RefereeCore:
         if self._phase is Phase.PACING:
             return self._tick(self._step, now)
         if self._phase is Phase.COMMANDS:
-            if "hider" not in self._commanded and (lacking := self._drivers.lacking(self._series.players.hider, self._alive, now)):
+            if "hider" not in self._commanded and (
+                lacking := self._drivers.lacking(self._series.players.hider, self._alive, now)
+            ):
                 return self._abort(lacking, now)
             if now < self._deadline:
                 self._wake = min(now + SECOND, self._deadline)

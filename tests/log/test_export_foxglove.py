@@ -141,7 +141,7 @@ def test_a_full_disk_is_one_line_that_names_the_target(tmp_path: Path, format: s
     """A limit of the file size stands for the full disk: the system refuses to write in the same place."""
     if format == "video":
         limit //= 20  # a video of this game is not as large
-    words = [VANTAGE, "log", "export", real_log(3, 60), "--to", format, "--output", tmp_path / "out", "--episode", "2"]
+    words = [VANTAGE, "log", "export", real_log(3, 60), "--to", format, "--output", tmp_path / "out", "--game", "2"]
     if format == "lerobot":
         words.append("--without-catching")
 
@@ -271,7 +271,7 @@ def test_an_interrupted_export_leaves_nothing_under_its_name(tmp_path: Path, for
     target = tmp_path / "target"
     command = [VANTAGE, "log", "export", real_log(3, 250), "--to", format, "--output", target]
     if format in ("rerun", "video"):
-        command += ["--episode", "2"]
+        command += ["--game", "2"]
     if format == "lerobot":
         command.append("--without-catching")
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
