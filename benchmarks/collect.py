@@ -44,7 +44,7 @@ def play(hider: str, first: int, count: int, folder: str, logged: bool) -> int:
     import learning.collect as collect
 
     collect.LogWriter = LogWriter if logged else NoLog  # type: ignore[misc]
-    settings = CollectSettings(episodes=count, hider=hider, to=Path(folder))
+    settings = CollectSettings(games=count, hider=hider, to=Path(folder))
     path = Path(folder) / f"{first}-{logged}.mcap"
     steps = play_block(settings, range(first, first + count), path)
     path.unlink()

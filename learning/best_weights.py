@@ -59,11 +59,10 @@ class BestWeights:
         """Write what the training came to into the card; weights that are gone or damaged are written again."""
         assert self.card is not None
         self.card.training |= came_to
-        if self.are_whole():
-            amend(self.path, **came_to)
-        else:
+        if not self.are_whole():
             assert self._network is not None
             save_state(self._network, self.path, self.card)
+        amend(self.path, **came_to)  # always, so that the card's page is worded as one that was read
 
     def refuse_to_overwrite(self, known: bool) -> None:
         """Raise where files of these names are not this training's.

@@ -1,30 +1,27 @@
 """`vantage collect`: play many games in process, far faster than real time, and log them.
 
-Each worker process runs the real cores on the in-process bus under a virtual clock and writes one log per block of episodes, so
-a log depends on its settings alone: the same command makes the same bytes of every message.
+Each worker process runs the real cores on the in-process bus under a virtual clock and writes one log per block of games, so a
+log depends on its settings alone: the same command makes the same bytes of every message.
 """
 
 from __future__ import annotations
 
 import json
-import multiprocessing
-import os
-import sys
 import time
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import count, islice
-from multiprocessing.queues import Queue
 from pathlib import Path
-from queue import Empty
 from typing import Annotated, Any
 
 import msgspec
-import psutil
 import tyro
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from learning.collection import LARGEST_SEED, clock_of, find_collection, missing_blocks, option_of, plain
 from learning.hiders.core import HiderCore
 from learning.hiders.policy import HiderPolicy
 from learning.hiders.recorded import NO_TRAJECTORIES, TrajectoriesBySplit, read_trajectories, trajectories_hash
@@ -32,191 +29,211 @@ from learning.hiders.table import HIDERS, policy_generator
 from learning.in_process import play
 from learning.splits import SPLITS, split_of
 from learning.stretches import RefereeOfStretches, stretches
+from learning.workers import results_of, worker_count
 from schemas import Episode, Players, Rules
 from services.referee.settings import RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
-from vantage.cores import available_cores
-from vantage.log import LogWriter, RunMetadata, open_log, source_commit
+from vantage.errors import UserError
+from vantage.log import LogWriter, RunMetadata, source_commit
+from vantage.log.words import counted
+from vantage.output import complete, remove_abandoned
 from vantage.play import SeekerPreset
+from vantage.printable import printable
 from vantage.service import Core
 from vantage.world.layout import ImpossibleLayout, make_layout
 
 EVERY_SPLIT = frozenset(range(len(SPLITS)))
-EPOCH = 1_767_225_600_000_000_000  # ns, 2026-01-01: the virtual clock of episode 1
-EPISODE_SPACING = 1000 * 1_000_000_000  # ns of virtual time an episode may take
-LARGEST_SEED = (2**63 - 1 - EPOCH) // EPISODE_SPACING - 1  # stamps are int64
+
+
+class ImpossibleCollection(UserError):
+    """Games that cannot be collected; the text says why and what to do."""
 
 
 @dataclass(frozen=True)
 class CollectSettings:
-    """Gather data: parallel games in simulation, MCAP logs out.
+    """Gather data: parallel games in simulation, MCAP logs out. Run it again to go on, or with more games to add to them.
 
     Examples:
-      vantage collect --episodes 4500 --hider goal-walk --to logs/
-      vantage collect --episodes 300 --hider scripted --rules.no-catching --to evader/
-      vantage collect --episodes 1500 --hider replay --from evader/ --to logs/
-      vantage collect --episodes 1500 --hider replay --from recordings/ --driver human --to logs/
+      vantage collect --games 4500 --hider goal-walk --to logs/goal-walk
+      vantage collect --games 300 --hider scripted --no-catching --to evader/
+      vantage collect --games 1500 --hider replay --from evader/ --to logs/replay
+      vantage collect --games 1500 --hider replay --from recordings/ --driver human --to logs/human
     """
 
-    episodes: int = 100
+    games: int = 100
     """How many games."""
     hider: str = "goal-walk"
     """Policy of the hider: a row of the hider table (random, goal-walk, scripted, scripted-1..3, replay)."""
     seeker: SeekerPreset = "glancing"
     """Preset of the seeker."""
     to: Path = Path("logs")
-    """Folder for the logs."""
+    """Folder for the logs; it holds games of one kind of settings."""
     source: Annotated[Path | None, tyro.conf.arg(name="from")] = None
     """Logs whose hider trajectories `--hider replay` plays, from other starts."""
     driver: str | None = None
     """Of those logs only the games that this hider drove: `human`, `planner`, `scripted-1`, ...; default: all."""
     seed: int = 1
-    """Seed of the first episode; the next ones follow, without those of splits that have nothing to replay."""
+    """Seed of the first game; the next ones follow, without those of splits that have nothing to replay."""
+    steps: int = 200
+    """Steps that the hider has to survive (T)."""
+    layout: str = "random"
+    """Arena: `random`, `lab`, or the path of a layout file."""
+    period: float = 0.25
+    """Seconds of virtual time that a step takes."""
+    catching: bool = True
+    """`--no-catching` ignores catches, to record an evader's whole action sequence."""
+    catch_distance: float = 0.150
+    """Metres between the robots' centres at or below which the hider is caught."""
+    start_distance: tuple[float, float] = (0.250, 0.450)
+    """Least and most metres between the robots' centres at the start."""
     workers: int = 0
     """Worker processes; 0 = one for each core."""
     block: int = 50
-    """Episodes per log."""
+    """Games per log."""
     views: bool = False
     """Also log the state images (training sets draw them again from the pictures)."""
-    rules: Rules = field(default_factory=lambda: Rules(maximum_steps=200))
     world: tyro.conf.OmitArgPrefixes[SimulatorSettings] = field(default_factory=SimulatorSettings)
+
+    @property
+    def rules(self) -> Rules:
+        """The rules of the games."""
+        nearest, farthest = self.start_distance
+        return Rules(
+            maximum_steps=self.steps,
+            catch_distance=self.catch_distance,
+            catching=self.catching,
+            start_distance_minimum=nearest,
+            start_distance_maximum=farthest,
+            layout=self.layout,
+            step_period=self.period,
+        )
 
 
 def main(settings: CollectSettings) -> int:
     """Collect; returns the exit code."""
-    if settings.hider not in HIDERS:
-        print(f"there is no hider `{settings.hider}`; the table has {', '.join(HIDERS)}", file=sys.stderr)
-        return 2
-    if settings.episodes < 1 or settings.seed < 0 or settings.seed + settings.episodes - 1 > LARGEST_SEED:
-        print(f"--episodes must be at least 1 and seeds lie in 0 .. {LARGEST_SEED:,}: choose another --seed", file=sys.stderr)
-        return 2
-    try:
-        make_layout(settings.rules.layout, settings.seed)
-    except ImpossibleLayout as error:
-        print(error, file=sys.stderr)
-        return 2
-    trajectories = NO_TRAJECTORIES
-    playable = EVERY_SPLIT
-    if settings.hider == "replay":
-        if settings.source is None:
-            print("`--hider replay` needs the recorded trajectories: --from FOLDER", file=sys.stderr)
-            return 2
-        try:
-            found = read_trajectories(settings.source, settings.driver)
-        except FileNotFoundError as error:
-            print(error, file=sys.stderr)
-            return 2
-        trajectories = found.by_split
-        if not any(trajectories):
-            wanted = f" that `{settings.driver}` drove" if settings.driver else ""
-            print(f"{settings.source} holds no hider trajectory{wanted}: {found}", file=sys.stderr)
-            return 2
-        print(f"{settings.source}: {found}")
-        playable = frozenset(split for split, of_split in enumerate(trajectories) if of_split)
-        if lacking := [name for name, of_split in zip(SPLITS, trajectories, strict=True) if not of_split]:
-            print(
-                f"seeds of the splits {', '.join(lacking)} are left out, for which nothing was recorded: an episode replays only "
-                "what was recorded in its own split, so that no path is in training and in test"
-            )
+    check(settings)
+    trajectories = _trajectories_for(settings) if settings.hider == "replay" else NO_TRAJECTORIES
+    playable = frozenset(split for split, found in enumerate(trajectories) if found) if any(trajectories) else EVERY_SPLIT
     settings.to.mkdir(parents=True, exist_ok=True)
-    _remove_partial_logs(settings.to)
-    recorded = trajectories_hash(trajectories)
-    blocks = blocks_of(settings, playable)
-    starts = {block[0] for block in blocks}
-    crumbs = crumbs_of(settings, playable)
-    if any(crumb[0] not in starts and log_path(settings, crumb).exists() for crumb in crumbs):
-        blocks = crumbs  # begun when a log had no gaps in its seeds
-    first, last = (settings.seed + block[end] - 1 for block, end in ((blocks[0], 0), (blocks[-1], -1)))
-    print(f"{settings.episodes} games with seeds {first} to {last}, in {len(blocks)} logs")
-    waiting: list[Sequence[int]] = []
-    for block in blocks:
-        path = log_path(settings, block)
-        held = configuration_in(path) if path.exists() else {}
-        if held and not is_same(held["settings"], configuration_of(settings, block)["settings"]):
-            print(f"{path} was made with other settings: choose another folder with --to, or remove it", file=sys.stderr)
-            return 2
-        if held and held.get("trajectories", recorded) != recorded:
-            print(f"{path} replays other trajectories: choose another folder with --to, or remove it", file=sys.stderr)
-            return 2
-        if held.get("games") != len(block):
-            waiting.append(block)
-    if len(waiting) < len(blocks):
-        print(f"{len(blocks) - len(waiting)} of {len(blocks)} logs are there already and are kept")
-    console = Console()
-    workers = min(settings.workers or available_cores(), max(len(waiting), 1))
-    total = sum(map(len, waiting))
-    started = time.monotonic()
-    columns = (TextColumn("collecting"), BarColumn(), MofNCompleteColumn(), TextColumn("games  {task.fields[rate]}"))
-    steps = games = 0
-    with Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=console) as progress:
-        task = progress.add_task("collect", total=total, rate="")
-        for played, stepped in _play_blocks(settings, waiting, trajectories, workers):
-            games += played
-            steps += stepped
-            progress.update(task, completed=games, rate=f"{steps / (time.monotonic() - started):,.0f} steps/s")
-    elapsed = time.monotonic() - started
-    rate = f"{steps / elapsed:,.0f} steps/s with {workers} workers"
-    print(f"{games} games, {steps} steps in {elapsed:.1f} s: {rate}, in {settings.to}/")
-    if games < total:
-        print("workers failed (see above); run the command again to go on", file=sys.stderr)
-        return 1
+    remove_abandoned(settings.to)
+    seeds = seeds_from(settings.seed, settings.games, playable)
+    held = find_collection(settings.to, identity_of(settings, trajectories), partial(seeds_from, playable=playable))
+    for path in held.damaged:
+        print(f"{path} was cut short or lacks messages: its games are played again")
+    blocks = missing_blocks(seeds, held.seeds, settings.block)
+    if not blocks:
+        print(f"{counted(len(held.seeds), 'game')} of these settings are in {settings.to} already: nothing to do")
+        return 0
+    print(f"{counted(settings.games, 'game')} with seeds {seeds[0]} to {seeds[-1]}, in {settings.to}")
+    if kept := settings.games - sum(map(len, blocks)):
+        print(f"{kept} of them {'is' if kept == 1 else 'are'} there already and {'is' if kept == 1 else 'are'} kept")
+    _play_blocks(settings, trajectories, [[seed - settings.seed + 1 for seed in block] for block in blocks], held.damaged)
+    after = find_collection(settings.to, identity_of(settings, trajectories), partial(seeds_from, playable=playable))
+    if lost := len(set(seeds) - after.seeds):
+        raise ImpossibleCollection(
+            f"{settings.to} lacks {counted(lost, 'game')} that {'was' if lost == 1 else 'were'} played: something removed logs "
+            "meanwhile; run it again"
+        )
     return 0
 
 
-def episodes_of(settings: CollectSettings, playable: frozenset[int] = EVERY_SPLIT) -> list[int]:
-    """Return the episodes to play, the first of all counted as 1; those of splits that are not playable are left out."""
-    wanted = (episode for episode in count(1) if split_of(settings.seed + episode - 1) in playable)
-    return list(islice(wanted, settings.episodes))
+def check(settings: CollectSettings) -> None:
+    """Check settings.
+
+    Raises:
+        ImpossibleCollection: nothing can be collected so.
+    """
+    if settings.hider not in HIDERS:
+        raise ImpossibleCollection(f"there is no hider `{printable(settings.hider)}`; the table has {', '.join(HIDERS)}")
+    if settings.games < 1 or settings.seed < 0 or settings.seed + settings.games - 1 > LARGEST_SEED:
+        raise ImpossibleCollection(
+            f"--games must be at least 1 and seeds lie in 0 .. {LARGEST_SEED:,}: choose another --games or --seed"
+        )
+    if settings.block < 1:
+        raise ImpossibleCollection("--block must be at least 1")
+    if settings.workers < 0:
+        raise ImpossibleCollection("--workers must be at least 1, or 0 for one for each core")
+    try:
+        msgspec.convert(msgspec.to_builtins(settings.rules), Rules)
+    except ValueError as error:
+        where = str(error)
+        for name in Rules.__struct_fields__:
+            where = where.replace(name, option_of(f"rules.{name}"))
+        raise ImpossibleCollection(f"no game has such rules: {where.replace('$.', '')}") from None
+    try:
+        make_layout(settings.layout, settings.seed)
+    except ImpossibleLayout as error:
+        raise ImpossibleCollection(str(error)) from None
 
 
-def blocks_of(settings: CollectSettings, playable: frozenset[int] = EVERY_SPLIT) -> list[Sequence[int]]:
-    """Return the episodes of each log."""
-    episodes = episodes_of(settings, playable)
-    return [episodes[start : start + settings.block] for start in range(0, len(episodes), settings.block)]
+def _trajectories_for(settings: CollectSettings) -> TrajectoriesBySplit:
+    """Read what `--hider replay` plays, and print what that is."""
+    if settings.source is None:
+        raise ImpossibleCollection("`--hider replay` needs the recorded trajectories: --from FOLDER")
+    found = read_trajectories(settings.source, settings.driver)
+    for line in found.breaks:
+        print(line)
+    if not any(found.by_split):
+        wanted = f" that `{printable(settings.driver)}` drove" if settings.driver else ""
+        raise ImpossibleCollection(f"{settings.source} holds no hider trajectory{wanted}: {found}")
+    print(f"{settings.source}: {found}")
+    if lacking := [name for name, of_split in zip(SPLITS, found.by_split, strict=True) if not of_split]:
+        print(
+            f"seeds of the splits {', '.join(lacking)} are left out, for which nothing was recorded: a game replays only what "
+            "was recorded in its own split, so that no path is in training and in test"
+        )
+    return found.by_split
 
 
-def crumbs_of(settings: CollectSettings, playable: frozenset[int]) -> list[Sequence[int]]:
-    """Return the episodes of each log of a collection that was begun when a log could have no gaps."""
-    whole = stretches(episodes_of(settings, playable))
-    return [stretch[start : start + settings.block] for stretch in whole for start in range(0, len(stretch), settings.block)]
+def seeds_from(first: int, games: int, playable: frozenset[int] = EVERY_SPLIT) -> list[int]:
+    """Return the seeds of games from the first one on, without those of splits that are not playable."""
+    return list(islice((seed for seed in count(first) if split_of(seed) in playable), games))
 
 
-def configuration_of(
-    settings: CollectSettings, block: Sequence[int], trajectories: TrajectoriesBySplit = NO_TRAJECTORIES
-) -> dict[str, Any]:
-    """Return what a log says of its making: nothing that depends on where or when it was made."""
-    portable = replace(settings, to=Path(), source=None, driver=None, workers=0, episodes=0)
-    plain = json.dumps(asdict(portable), default=lambda value: msgspec.to_builtins(value, enc_hook=str))
-    return {"settings": json.loads(plain), "games": len(block), "trajectories": trajectories_hash(trajectories)}
+def logs_of(settings: CollectSettings) -> list[Path]:
+    """Return the logs that a collection consists of that is made in one go and leaves no split out."""
+    return [log_path(settings, first) for first in range(settings.seed, settings.seed + settings.games, settings.block)]
 
 
-def is_same(held: dict[str, Any], settings: dict[str, Any]) -> bool:
-    """Return whether a log was made with these settings; what is None has no part in it, by whatever name it went."""
-    return {name: value for name, value in held.items() if value is not None} == {
-        name: value for name, value in settings.items() if value is not None
+def log_path(settings: CollectSettings, seed: int) -> Path:
+    """Return the log whose first game has this seed."""
+    return settings.to / f"{settings.hider}_{settings.seeker}_{seed:07d}.mcap"
+
+
+def identity_of(settings: CollectSettings, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES) -> dict[str, Any]:
+    """Return what decides what is in the logs of a collection: nothing that depends on where or when they are made."""
+    return {
+        "settings": {
+            "hider": settings.hider,
+            "seeker": settings.seeker,
+            "seed": settings.seed,
+            "block": settings.block,
+            "views": settings.views,
+            "rules": msgspec.to_builtins(settings.rules),
+            "world": plain(settings.world),
+        },
+        "trajectories": trajectories_hash(trajectories),
     }
 
 
-def configuration_in(path: Path) -> dict[str, Any]:
-    """Return the configuration that a log was made with; empty when it cannot be read."""
-    try:
-        with open_log(path) as log:
-            found = json.loads(log.metadata.get("configuration", "{}"))
-    except (OSError, ValueError):
-        return {}
-    return found if "settings" in found else {}
-
-
-def log_path(settings: CollectSettings, block: Sequence[int]) -> Path:
-    """Return the log of a block of episodes."""
-    return settings.to / f"{settings.hider}_{settings.seeker}_{settings.seed + block[0] - 1:07d}.mcap"
-
-
 def play_block(
-    settings: CollectSettings, block: Sequence[int], path: Path, trajectories: TrajectoriesBySplit = NO_TRAJECTORIES
+    settings: CollectSettings,
+    block: Sequence[int],
+    path: Path,
+    trajectories: TrajectoriesBySplit = NO_TRAJECTORIES,
+    replace_log: bool = False,
 ) -> int:
-    """Play a block of episodes into one log. Returns the number of steps played."""
+    """Play a block of games into one log. Returns the number of steps played.
+
+    Args:
+        block: numbers of the games, ascending; game 1 has the seed of the settings.
+        replace_log: replace the log if there is one.
+
+    Raises:
+        AlreadyExists: see `replace_log`.
+        OSError: of the disk; no log is left then.
+    """
 
     def make_policy(episode: Episode) -> HiderPolicy:
         generator = policy_generator(episode.seed)
@@ -230,7 +247,7 @@ def play_block(
         required=("simulator", "seeker", "hider"),
         settle=0.0,
     )
-    seeds = stretches(settings.seed + episode - 1 for episode in block)
+    seeds = stretches(settings.seed + number - 1 for number in block)
     cores: dict[str, Core] = {
         "simulator": SimulatorCore(settings.world),
         "seeker": SeekerCore(SeekerSettings(publish_view=settings.views)),
@@ -239,63 +256,39 @@ def play_block(
             [replace(referee, games=len(stretch), seed=stretch[0], first_episode=stretch[0]) for stretch in seeds]
         ),
     }
-    metadata = RunMetadata(
-        commit=source_commit(),
-        configuration=json.dumps(configuration_of(settings, block, trajectories)),
-        started=EPOCH + first * EPISODE_SPACING,
-    )
-    partial = path.with_suffix(f".{os.getpid()}.partial")  # two processes never write the same file
-    # No flush by the wall clock: chunks, and so the file's bytes, depend on the messages alone.
-    with LogWriter(partial, metadata, compression="lz4", sync=False, flush_period=2**62) as writer:
-        steps = play(cores, len(block), EPOCH + first * EPISODE_SPACING, writer)
-    partial.replace(path)
-    return steps
+    configuration = {**identity_of(settings, trajectories), "games": len(block)}
+    metadata = RunMetadata(commit=source_commit(), configuration=json.dumps(configuration), started=clock_of(first))
+    with complete(path, replace=replace_log) as unfinished:
+        # No flush by the wall clock: chunks, and so the file's bytes, depend on the messages alone.
+        with LogWriter(unfinished, metadata, compression="lz4", sync=False, flush_period=2**62) as writer:
+            return play(cores, len(block), clock_of(first), writer)
 
 
-def _remove_partial_logs(folder: Path) -> None:
-    """Remove what workers that are no more left unfinished."""
-    for path in folder.glob("*.partial"):
-        writer = path.suffixes[-2][1:] if len(path.suffixes) > 1 else ""
-        if not (writer.isdecimal() and psutil.pid_exists(int(writer))):
-            path.unlink(missing_ok=True)
+def _play(settings: CollectSettings, trajectories: TrajectoriesBySplit, damaged: Sequence[Path], block: Sequence[int]) -> int:
+    path = log_path(settings, settings.seed + block[0] - 1)
+    return play_block(settings, block, path, trajectories, replace_log=path in damaged)
 
 
 def _play_blocks(
-    settings: CollectSettings, blocks: list[Sequence[int]], trajectories: TrajectoriesBySplit, workers: int
-) -> Iterator[tuple[int, int]]:
-    """Play blocks into their logs; yields games and steps of each as it is done, of fewer blocks where a worker failed."""
-    if workers == 1:
-        for block in blocks:
-            yield len(block), play_block(settings, block, log_path(settings, block), trajectories)
-        return
-    context = multiprocessing.get_context("spawn")
-    done: Queue[tuple[int, int]] = context.Queue()
-    processes = [
-        context.Process(target=_work, args=(settings, blocks[index::workers], trajectories, done), daemon=True)
-        for index in range(workers)
-    ]
-    for process in processes:
-        process.start()
-    left = len(blocks)
-    while left:
-        alive = any(process.is_alive() for process in processes)
-        try:
-            yield done.get(timeout=1.0)
-        except Empty:
-            if not alive:
-                break
-        else:
-            left -= 1
-    for process in processes:
-        process.join()
-
-
-def _work(
-    settings: CollectSettings, blocks: list[Sequence[int]], trajectories: TrajectoriesBySplit, done: Queue[tuple[int, int]]
+    settings: CollectSettings, trajectories: TrajectoriesBySplit, blocks: Sequence[Sequence[int]], damaged: Sequence[Path]
 ) -> None:
-    parent = multiprocessing.parent_process()
-    for block in blocks:
-        if parent is not None and not parent.is_alive():  # killed: nobody waits for this
-            return
-        steps = play_block(settings, block, log_path(settings, block), trajectories)
-        done.put((len(block), steps))
+    """Play blocks of games into their logs, and show how far that is."""
+    workers = worker_count(settings.workers, len(blocks))
+    started = time.monotonic()
+    steps = games = 0
+    columns = (TextColumn("collecting"), BarColumn(), MofNCompleteColumn(), TextColumn("games  {task.fields[rate]}"))
+    try:
+        with (
+            Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), console=Console()) as progress,
+            closing(results_of(partial(_play, settings, trajectories, damaged), blocks, workers)) as results,
+        ):
+            task = progress.add_task("collect", total=sum(map(len, blocks)), rate="")
+            for block, stepped in results:
+                games += len(blocks[block])
+                steps += stepped
+                progress.update(task, completed=games, rate=f"{steps / (time.monotonic() - started):,.0f} steps/s")
+    finally:
+        remove_abandoned(settings.to)  # what a worker left that was ended in the middle of a game
+    elapsed = time.monotonic() - started
+    rate = f"{steps / elapsed:,.0f} steps/s with {counted(workers, 'worker')}"
+    print(f"{counted(games, 'game')}, {counted(steps, 'step')} in {elapsed:.1f} s: {rate}, in {settings.to}")

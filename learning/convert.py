@@ -4,36 +4,36 @@ from __future__ import annotations
 
 import hashlib
 import json
-import multiprocessing
-import shutil
 import sys
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
 
 import lz4.block
-import lz4.frame
 import numpy as np
 import tyro
-from mcap.records import Chunk
-from mcap.stream_reader import StreamReader
 from numpy.typing import NDArray
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from learning.dataset import EPISODE, PLAN, SCHEMA_VERSION, STEP, UnusableDataset
+from learning.dataset import DEFAULT_DATASET, EPISODE, PLAN, SCHEMA_VERSION, STEP, UnusableDataset, key_of
+from learning.dataset_tables import Sizes, by_split, episodes_chosen, names_counted, rows_kept, shift_rows
 from learning.splits import SPLITS, split_of
+from learning.workers import results_of, worker_count
 from schemas import ROBOTS
-from vantage.cores import available_cores
 from vantage.log import find_logs, open_log, source_commit
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, games_of
+from vantage.log.file import DAMAGE
 from vantage.log.games import unusable
+from vantage.log.reader import Log
+from vantage.log.words import counted
+from vantage.output import AlreadyExists, complete, remove_abandoned
 from vantage.perception.state_image import perceive
+from vantage.printable import printable
 
-Sizes = tuple[int, int, int]
-"""Games of the training, validation and test split."""
-
+NAMES = ("hider", "seeker", "layout")
 TOPICS = EPISODE_TOPICS - {"tick", "hider/command", "seeker/command", "hider/view", "seeker/view"}
 
 
@@ -41,24 +41,19 @@ TOPICS = EPISODE_TOPICS - {"tick", "hider/command", "seeker/command", "hider/vie
 class ConvertSettings:
     """Turn logs into a training set.
 
-    Example: vantage convert logs/ --to dataset/
+    Examples:
+      vantage convert
+      vantage convert logs/ recordings/ --to data/both
     """
 
-    logs: Annotated[tuple[Path, ...], tyro.conf.Positional]
+    logs: Annotated[tuple[Path, ...], tyro.conf.Positional] = (Path("logs"),)
     """Logs, or folders that hold them."""
-    to: Path = Path("dataset")
-    """Folder of the training set; an older one there is replaced."""
+    to: Path = DEFAULT_DATASET
+    """Folder of the training set."""
+    force: bool = False
+    """Replace an older training set; nothing else is ever replaced."""
     workers: int = 0
-    """Processes; 0 = one for each core."""
-
-
-class TooFewGames(UnusableDataset):
-    """Fewer games can serve than are wanted; `lacking` says how many, hider -> by split."""
-
-    def __init__(self, lacking: dict[str, Sizes]) -> None:
-        self.lacking = lacking
-        counts = (f"{dict(zip(SPLITS, sizes, strict=True))} of `{hider}`" for hider, sizes in lacking.items())
-        super().__init__(f"the logs hold too few games, lacking are {', '.join(counts)}: gather more")
+    """Worker processes; 0 = one for each core."""
 
 
 @dataclass
@@ -73,6 +68,28 @@ class Part:
     images: list[bytes] = field(default_factory=list)
     plan_counts: list[int] = field(default_factory=list)  # of each episode
     left_out: Counter[str] = field(default_factory=Counter)
+    names: dict[str, set[str]] = field(default_factory=lambda: {name: set() for name in NAMES})
+
+
+@dataclass
+class Converted:
+    """One converted log.
+
+    Attributes:
+        tables: rows counted from 0, by name.
+        images: how many state images are in the log's file.
+        left_out: reason -> games.
+        names: whole names of hiders, seekers and layouts.
+        hash: of the log's messages.
+        broken: why the log is left out; empty when it is not.
+    """
+
+    tables: dict[str, NDArray[Any]] = field(default_factory=dict)
+    images: int = 0
+    left_out: Counter[str] = field(default_factory=Counter)
+    names: dict[str, set[str]] = field(default_factory=dict)
+    hash: str = ""
+    broken: str = ""
 
 
 def convert_games(games: Iterable[EpisodeLog]) -> Part:
@@ -120,13 +137,14 @@ def _add(part: Part, game: EpisodeLog) -> None:
             part.images.append(lz4.block.compress(view.image, store_size=False))
             poses.append((pose.x, pose.y, pose.heading))
         part.steps.append((*poses, first_plan + in_force if in_force >= 0 else -1))
+    names = {"hider": head.players.hider, "seeker": head.players.seeker, "layout": head.rules.layout}
+    for name, text in names.items():
+        part.names[name].add(text)
     part.episodes.append(
         (
             head.episode,
             head.seed,
-            head.players.hider.encode()[:32],
-            head.players.seeker.encode()[:16],
-            head.rules.layout.encode()[:64],
+            *(key_of(text, name) for name, text in names.items()),
             first_step,
             last + 1,
             -1 if head.caught_step is None else head.caught_step,
@@ -136,11 +154,21 @@ def _add(part: Part, game: EpisodeLog) -> None:
     )
 
 
-def _convert_log(task: tuple[list[Path], Path]) -> tuple[dict[str, NDArray[Any]], int, Counter[str], str]:
-    """Convert one log; its images go to a file, its tables are returned with the log's hash."""
+def _convert_log(task: tuple[list[Path], Path]) -> Converted:
+    """Convert one log; its images go to a file."""
     parts, images = task
     with open_log(*parts) as log:
-        part = convert_games(games_of(log, TOPICS))
+        try:
+            part, hash = convert_games(games_of(log, TOPICS)), messages_hash(log)
+        except DAMAGE as error:
+            if not log.breaks:
+                raise
+            return Converted(broken=f"{log.breaks[0]} ({error})")
+        if not all(file.finished for file in log.files):
+            detail = f" ({log.breaks[0]})" if log.breaks else ""
+            return Converted(broken=f"it is still being written, or was cut short{detail}")
+        if log.breaks:
+            return Converted(broken=log.breaks[0])
     with images.open("wb") as file:
         file.writelines(part.images)
     tables: dict[str, NDArray[Any]] = {
@@ -151,76 +179,116 @@ def _convert_log(task: tuple[list[Path], Path]) -> tuple[dict[str, NDArray[Any]]
         "lengths": np.array([len(image) for image in part.images], np.int64),
         "plan_counts": np.array(part.plan_counts, np.int64),
     }
-    return tables, len(part.images), part.left_out, messages_hash(parts)
+    return Converted(tables, len(part.images), part.left_out, part.names, hash)
 
 
-def messages_hash(parts: Iterable[Path]) -> str:
-    """Return the SHA-256 of all that was said in a log: not of its file, which names the commit that made it."""
+def messages_hash(log: Log) -> str:
+    """Return the SHA-256 of the messages of a log: not of its file, which names the commit that made it.
+
+    What is damaged is left out, and noted in the log's `breaks`.
+    """
     digest = hashlib.sha256()
-    for path in parts:
-        with path.open("rb") as file:
-            for record in StreamReader(file, emit_chunks=True).records:
-                if isinstance(record, Chunk):
-                    digest.update(lz4.frame.decompress(record.data) if record.compression == "lz4" else record.data)
+    for file in log.files:
+        with file.path.open("rb") as stored:
+            for chunk in file.chunks:
+                if chunk.compression == "lz4":
+                    try:
+                        digest.update(file.bytes_of(chunk))
+                    except DAMAGE as error:
+                        file.breaks.append(f"damaged chunk at byte {chunk.offset}: {error}")
+                elif chunk.compression is not None:
+                    stored.seek(chunk.offset)
+                    digest.update(stored.read(chunk.length))
     return digest.hexdigest()
 
 
 def convert(
-    sources: Iterable[Path], to: Path, workers: int = 0, quiet: bool = False, wanted: Mapping[str, Sizes] | None = None
-) -> dict[str, object]:
-    """Convert logs into a training set; returns its manifest.
+    sources: Iterable[Path],
+    to: Path,
+    workers: int = 0,
+    quiet: bool = False,
+    wanted: Mapping[str, Sizes] | None = None,
+    force: bool = False,
+    need_every_log: bool = False,
+) -> dict[str, Any]:
+    """Convert logs into a training set; returns its manifest. Logs that are cut short or damaged are left out, with a line each.
 
     Args:
+        quiet: show no progress.
         wanted: hider -> how many of its games each split is to have: those of the lowest seeds. None = all games.
+        force: replace a training set that is there.
+        need_every_log: leave no log out.
 
     Raises:
-        FileNotFoundError: there are no logs.
+        NoSuchLog: there are no logs.
         TooFewGames: fewer games can serve than are wanted; what is in `to` is left as it was.
-        UnusableDataset: no logs are named, or no game in them can serve, or `to` exists and is no training set: then it is
-            not replaced.
+        AlreadyExists: see `force`.
+        UnusableDataset: no game in the logs can serve, a log is broken that must not be left out, or `to` exists and is no
+            training set: then it is not replaced.
+        OSError: of the disk; what is in `to` is left as it was.
     """
-    if to.exists() and not (to / "manifest.json").is_file() and not _is_empty_folder(to):
+    is_empty = to.is_dir() and not any(to.iterdir())
+    if to.exists() and not (to / "manifest.json").is_file() and not is_empty:
         raise UnusableDataset(f"{to} exists and is no training set, so it is not replaced: choose another --to")
-    if not (sources := tuple(sources)):
-        raise UnusableDataset("name the logs: vantage convert logs/ --to dataset/")
+    if to.exists() and not is_empty and not force:
+        raise AlreadyExists(to, "choose another name with --to, or replace it with --force")
     logs = sorted({tuple(parts) for source in sources for parts in find_logs(source)})
-    partial = to.with_name(to.name + ".partial")
-    shutil.rmtree(partial, ignore_errors=True)
-    partial.mkdir(parents=True)
-    tasks = [(list(parts), partial / f"images.{number:06d}") for number, parts in enumerate(logs)]
-    results = []
-    left_out: Counter[str] = Counter()
-    columns = (
-        TextColumn("converting"),
-        BarColumn(),
-        MofNCompleteColumn(),
-        TextColumn("logs"),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    with Progress(*columns, disable=quiet) as progress:
+    remove_abandoned(to.parent)
+    with complete(to) as partial:
+        partial.mkdir()
+        tasks = [(list(parts), partial / f"images.{number:06d}") for number, parts in enumerate(logs)]
+        found = _convert_logs(tasks, workers, quiet)
+        broken = [f"{parts[0]}: {one.broken}" for (parts, _), one in zip(tasks, found, strict=True) if one.broken]
+        if need_every_log and broken:
+            raise UnusableDataset(f"{printable(broken[0])}: remove this log and run it again, its games are then played again")
+        for line in broken:
+            print(f"left out: {printable(line)}: `vantage log recover` saves what is whole", file=sys.stderr)
+        manifest = _write(partial, tasks, found, wanted, to)
+    return manifest
+
+
+def _convert_logs(tasks: list[tuple[list[Path], Path]], workers: int, quiet: bool) -> list[Converted]:
+    """Convert every log."""
+    found = [Converted() for _ in tasks]
+    columns = (TextColumn("converting"), BarColumn(), MofNCompleteColumn(), TextColumn("logs"))
+    with (
+        Progress(*columns, TimeElapsedColumn(), TimeRemainingColumn(), disable=quiet) as progress,
+        closing(results_of(_convert_log, tasks, worker_count(workers, len(tasks)))) as results,
+    ):
         bar = progress.add_task("convert", total=len(tasks))
-        for result in _map(tasks, workers):
-            results.append(result)
-            left_out += result[2]
+        for index, converted in results:
+            found[index] = converted
             progress.advance(bar)
-    tables = {name: np.concatenate([result[0][name] for result in results]) for name in results[0][0]}
-    _shift_rows(tables, [result[0] for result in results])
+    return found
+
+
+def _write(
+    partial: Path, tasks: list[tuple[list[Path], Path]], found: list[Converted], wanted: Mapping[str, Sizes] | None, to: Path
+) -> dict[str, Any]:
+    """Write the training set from the tables and image files of its logs; returns the manifest."""
+    whole = [(parts, piece, converted) for (parts, piece), converted in zip(tasks, found, strict=True) if not converted.broken]
+    left_out = sum((converted.left_out for _, _, converted in whole), Counter[str]())
+    if not any(converted.images for _, _, converted in whole):
+        reasons = [f"{count} {printable(reason)}" for reason, count in left_out.items()]
+        if broken := len(tasks) - len(whole):
+            reasons.append(f"{counted(broken, 'log')} broken")
+        raise UnusableDataset(
+            f"no game in {counted(len(tasks), 'log')} can serve ({', '.join(reasons) or 'there is none'}); {to} is left as it was"
+        )
+    parts_of_tables = [converted.tables for _, _, converted in whole]
+    tables = {name: np.concatenate([part[name] for part in parts_of_tables]) for name in parts_of_tables[0]}
+    shift_rows(tables, parts_of_tables)
     lengths, kept = tables["lengths"], np.ones(len(tables["episodes"]), np.bool_)
     if wanted is not None:
-        try:
-            kept = _chosen(tables["episodes"], wanted)
-        except TooFewGames:
-            shutil.rmtree(partial)
-            raise
+        kept = episodes_chosen(tables["episodes"], wanted)
         left_out["beyond the wanted size"] += int((~kept).sum())
     image_kept = np.repeat(np.repeat(kept, tables["episodes"]["steps"]), 2)
-    tables = _only(tables, kept, image_kept)
+    tables = rows_kept(tables, kept, image_kept)
     digest = hashlib.sha256()
     first = 0
     with (partial / "images.lz4").open("wb") as out:
-        for (_, piece), (_, count, _, _) in zip(tasks, results, strict=True):
-            own = slice(first, first := first + count)
+        for _, piece, converted in whole:
+            own = slice(first, first := first + converted.images)
             data = np.frombuffer(piece.read_bytes(), np.uint8)
             if not image_kept[own].all():
                 data = data[np.repeat(image_kept[own], lengths[own])]
@@ -233,103 +301,44 @@ def convert(
         np.save(partial / f"{name}.npy", table)
         digest.update(table.tobytes())
     episodes = tables["episodes"]
-    manifest: dict[str, object] = {
+    manifest: dict[str, Any] = {
         "schema_version": SCHEMA_VERSION,
         "commit": source_commit(),
         "hash": digest.hexdigest(),
         "episodes": {split: int((episodes["split"] == number).sum()) for number, split in enumerate(SPLITS)},
-        "hiders": dict(sorted(Counter(name.decode() for name in episodes["hider"]).items())),
-        "seekers": dict(sorted(Counter(name.decode() for name in episodes["seeker"]).items())),
-        "layouts": dict(sorted(Counter(name.decode() for name in episodes["layout"]).items())),
+        **{
+            f"{name}s": names_counted(episodes[name], name, [converted.names[name] for _, _, converted in whole])
+            for name in NAMES
+        },
         "horizons": sorted({int(horizon) for horizon in episodes["horizon"]}),
         "caught": int((episodes["caught_step"] >= 0).sum()),
         "steps": len(tables["steps"]),
         "left_out": dict(sorted(left_out.items())),
-        "logs": {parts[0].name: result[3] for (parts, _), result in zip(tasks, results, strict=True)},
+        "logs": {parts[0].name: converted.hash for parts, _, converted in whole},
     }
     (partial / "manifest.json").write_text(json.dumps(manifest, indent=2) + "\n")
-    if not len(tables["steps"]):
-        shutil.rmtree(partial)
-        why = ", ".join(f"{count} {reason}" for reason, count in left_out.items()) or "they hold none"
-        raise UnusableDataset(f"no game in {len(tasks)} logs can serve ({why}); {to} is left as it was")
-    shutil.rmtree(to, ignore_errors=True)
-    partial.rename(to)
     return manifest
 
 
-def _is_empty_folder(path: Path) -> bool:
-    return path.is_dir() and not any(path.iterdir())
-
-
-def _map(tasks: list[tuple[list[Path], Path]], workers: int) -> Iterator[tuple[dict[str, NDArray[Any]], int, Counter[str], str]]:
-    workers = min(workers or available_cores(), len(tasks))
-    if workers <= 1:
-        yield from map(_convert_log, tasks)
-        return
-    with multiprocessing.get_context("spawn").Pool(workers) as pool:
-        yield from pool.imap(_convert_log, tasks)
-
-
-def _shift_rows(tables: dict[str, NDArray[Any]], parts: list[dict[str, NDArray[Any]]]) -> None:
-    """Turn row numbers within a log into row numbers within the whole."""
-    done: Counter[str] = Counter()
-    for part in parts:
-        episodes, steps, plans = (slice(done[name], done[name] + len(part[name])) for name in ("episodes", "steps", "plans"))
-        tables["episodes"]["first_step"][episodes] += done["steps"]
-        in_force = tables["steps"]["plan"][steps]
-        in_force[in_force >= 0] += done["plans"]
-        tables["plans"]["first_position"][plans] += done["positions"]
-        for name in ("episodes", "steps", "plans", "positions"):
-            done[name] += len(part[name])
-
-
-def _chosen(episodes: NDArray[Any], wanted: Mapping[str, Sizes]) -> NDArray[np.bool_]:
-    """Return which episodes [n] make up the wanted sizes: of each hider and split those of the lowest seeds."""
-    kept = np.zeros(len(episodes), np.bool_)
-    lacking = {}
-    for hider, sizes in wanted.items():
-        of_hider = episodes["hider"] == hider.encode()[:32]
-        short = [0, 0, 0]
-        for split, size in enumerate(sizes):
-            rows = np.flatnonzero(of_hider & (episodes["split"] == split))
-            kept[rows[np.argsort(episodes["seed"][rows], kind="stable")][:size]] = True
-            short[split] = max(0, size - len(rows))
-        if any(short):
-            lacking[hider] = (short[0], short[1], short[2])
-    if lacking:
-        raise TooFewGames(lacking)
-    return kept
-
-
-def _only(tables: dict[str, NDArray[Any]], kept: NDArray[np.bool_], image_kept: NDArray[np.bool_]) -> dict[str, NDArray[Any]]:
-    """Return the tables without the episodes that are not kept [n]."""
-    steps, plans = image_kept[::2], np.repeat(kept, tables["plan_counts"])
-    only = {
-        "episodes": tables["episodes"][kept],
-        "steps": tables["steps"][steps],
-        "plans": tables["plans"][plans],
-        "positions": tables["positions"][np.repeat(plans, tables["plans"]["positions"])],
-        "lengths": tables["lengths"][image_kept],
-    }
-    in_force = only["steps"]["plan"]
-    in_force[:] = np.where(in_force >= 0, (np.cumsum(plans) - 1)[in_force], -1)
-    for table, count, row in (("episodes", "steps", "first_step"), ("plans", "positions", "first_position")):
-        counts = only[table][count].astype(np.int64)
-        only[table][row] = np.cumsum(counts) - counts
-    return only
-
-
 def warn_of_empty_splits(manifest: Mapping[str, Any]) -> None:
-    """Say on stderr which splits of a training set are empty."""
+    """Print on stderr which splits of a training set are empty."""
     if empty := [split for split, count in manifest["episodes"].items() if not count]:
-        print(f"warning: no {' and no '.join(empty)} episodes: nothing can be drawn from there; gather more", file=sys.stderr)
+        print(f"warning: no {' and no '.join(empty)} games: nothing can be drawn from there; gather more", file=sys.stderr)
+
+
+def summary_of(manifest: Mapping[str, Any]) -> str:
+    """Return in one line what is in a training set."""
+    hiders = ", ".join(f"{count:,} {printable(hider)}" for hider, count in manifest["hiders"].items())
+    games = counted(sum(manifest["episodes"].values()), "game")
+    return f"{games} ({by_split(manifest['episodes'].values())}; by hider {hiders}), {manifest['steps']:,} steps"
 
 
 def main(settings: ConvertSettings) -> int:
     """Convert; returns the exit code."""
-    manifest = convert(settings.logs, settings.to, settings.workers)
+    manifest = convert(settings.logs, settings.to, settings.workers, force=settings.force)
     warn_of_empty_splits(manifest)
-    print(f"{manifest['steps']} steps, episodes {manifest['episodes']}, by hider {manifest['hiders']}, in {settings.to}/")
+    print(f"{summary_of(manifest)}, in {settings.to}")
     if manifest["left_out"]:
-        print(f"left out: {manifest['left_out']}", file=sys.stderr)
+        reasons = ", ".join(f"{count:,} {printable(reason)}" for reason, count in manifest["left_out"].items())
+        print(f"games left out: {reasons}", file=sys.stderr)
     return 0

@@ -8,12 +8,16 @@
     images.lz4      lz4 blocks of 128 x 128 palette indices: of step s, the hider's view is image 2 s, the seeker's 2 s + 1
     offsets.npy     int64 [images + 1]: where each lies
 
+A hider, seeker or layout whose name is longer than its field in episodes.npy stands there as a digest (`key_of`); its whole name
+is in the manifest.
+
 A sample is (episode, t0, ti): I_H at t0, F and T of the plan in force at t0 from t0 to ti, the seeker's view at ti. After a
 catch the game is frozen: the view is that of the catch and v = 1 (reading of the paper, row 6). F and T always reach to ti.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import queue
 import threading
@@ -34,15 +38,17 @@ from vantage.networks.action_vector import VECTOR_LENGTH, render_vectors
 from vantage.networks.inputs import CHANNELS, render_inputs, render_targets
 
 SCHEMA_VERSION = 1
+DEFAULT_DATASET = Path("data/dataset")
+"""Where `vantage gather` and `vantage convert` leave a training set, and everything else looks for one."""
 
 _POSE = [("x", "<f4"), ("y", "<f4"), ("heading", "<f4")]
 EPISODE = np.dtype(
     [
         ("id", "<u8"),
         ("seed", "<u8"),
-        ("hider", "S32"),  # policy that drove it
-        ("seeker", "S16"),  # preset
-        ("layout", "S64"),
+        ("hider", "S32"),  # policy that drove it, see `key_of`
+        ("seeker", "S16"),  # preset, see `key_of`
+        ("layout", "S64"),  # see `key_of`
         ("first_step", "<i8"),  # row in steps.npy
         ("steps", "<i4"),  # recorded steps, step 0 included
         ("caught_step", "<i4"),  # -1: survived
@@ -58,6 +64,15 @@ Target = Literal["seeker", "hider"]
 
 _SIZE = STATE_IMAGE_SIZE
 _IMAGE_BYTES = _SIZE * _SIZE
+
+
+def key_of(name: str, field: str) -> bytes:
+    """Return what stands for a name in a field of EPISODE: its UTF-8, or a digest of it where that does not fit."""
+    width = EPISODE[field].itemsize
+    encoded = name.encode()
+    if len(encoded) <= width and b"\0" not in encoded:
+        return encoded
+    return hashlib.sha256(encoded).hexdigest()[:width].encode()
 
 
 class UnusableDataset(UserError, ValueError):
@@ -123,6 +138,12 @@ class Dataset:
         except (OSError, EOFError, ValueError) as error:
             raise UnusableDataset(f"{folder} is broken ({error}): convert the logs again") from None
         self._bytes = memoryview(self._images)  # type: ignore[arg-type]
+
+    def name_of(self, episode: int, field: Literal["hider", "seeker", "layout"]) -> str:
+        """Return the whole name of an episode's hider, seeker or layout, whatever its length."""
+        key = bytes(self.episodes[field][episode])
+        known = {key_of(name, field): name for name in self.manifest[f"{field}s"]}
+        return known.get(key) or key.decode(errors="replace")  # sets of earlier versions cut long names
 
     @property
     def hash(self) -> str:

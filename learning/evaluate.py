@@ -16,7 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from learning.accuracy.examples import STARTS, Start, blind_logits, draw_examples, frequency_logits
 from learning.accuracy.page import fewer, page_of, table_of
 from learning.accuracy.report import CLOCK, MAJORITY, ORACLE, VIEW_ORACLE, judged, without_nan
-from learning.dataset import Dataset, Samples
+from learning.dataset import DEFAULT_DATASET, Dataset, Samples
 from learning.methods.machine import Machine
 from learning.methods.method import Method
 from learning.methods.table import ABLATIONS, METHODS, load_trainings
@@ -36,7 +36,7 @@ class EvaluateSettings:
     Example: vantage evaluate --data dataset/ --weights weights/ --samples 1000 10000 --horizons 100 200 --oracle 50
     """
 
-    data: Path = Path("dataset")
+    data: Path = DEFAULT_DATASET
     """The training set; its test episodes are judged, its training episodes tell what the horizon alone is worth."""
     weights: Path | None = None
     """Folder with the weights; if not said, runs/ where a training has left some, else the released ones. Methods whose weights

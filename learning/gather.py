@@ -1,7 +1,7 @@
 """`vantage gather`: one whole training set in one folder: evader recordings, a mixture of hiders, exact split sizes.
 
     DIR/evader          logs of the scripted evader, catches ignored: trajectories to be replayed
-    DIR/logs            logs of the mixture
+    DIR/logs/HIDER      logs of the mixture
     DIR/dataset         the training set
     DIR/manifest.json   settings, commit, seeds, hashes: what it takes to make the same set again, bit for bit
 
@@ -13,20 +13,22 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import shlex
 import sys
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from learning.collect import CollectSettings, blocks_of, log_path
+from learning.collect import CollectSettings, logs_of
 from learning.collect import main as collect
-from learning.convert import Sizes, TooFewGames, convert, messages_hash, warn_of_empty_splits
+from learning.convert import convert, messages_hash, summary_of, warn_of_empty_splits
+from learning.dataset_tables import Sizes, TooFewGames, by_split
 from learning.splits import SPLITS, split_of
-from schemas import Rules
 from vantage.errors import UserError
 from vantage.log import open_log, source_commit
+from vantage.log.file import first_metadata
+from vantage.log.words import counted
+from vantage.output import write_complete
 from vantage.play import SeekerPreset
 
 SCHEMA_VERSION = 1
@@ -130,28 +132,27 @@ def plan(settings: GatherSettings, wanted: dict[str, Sizes], spare: dict[str, Si
         wanted: hider -> games by split.
         spare: those to make up for games that cannot serve; no recording is added for them, as that would change every replay.
     """
-    rules = Rules(maximum_steps=settings.steps, layout=settings.layout)
     evader_seed = settings.seed + EVADER_FIRST_SEED
     whole_logs = sum(wanted["replay"]) // REPLAYS_PER_RECORDING // settings.block
     recordings = max(whole_logs * settings.block, games_needed(evader_seed, (1, 1, 1)))
 
-    def of(hider: str, first: int, games: int, rules: Rules, folder: str, source: Path | None = None) -> CollectSettings:
+    def of(hider: str, first: int, games: int, folder: str, source: Path | None = None) -> CollectSettings:
         return CollectSettings(
-            episodes=math.ceil(games / settings.block) * settings.block,
+            games=math.ceil(games / settings.block) * settings.block,
             hider=hider,
             seeker=settings.seeker,
             to=settings.to / folder,
             source=source,
             seed=first,
+            steps=settings.steps,
+            layout=settings.layout,
             workers=settings.workers,
             block=settings.block,
-            rules=rules,
         )
 
-    evader_rules = Rules(maximum_steps=settings.steps, layout=settings.layout, catching=False)
-    evader = of("scripted", evader_seed, recordings, evader_rules, "evader")
+    evader = replace(of("scripted", evader_seed, recordings, "evader"), catching=False)
     mixture = {
-        hider: of(hider, first, games, rules, "logs", evader.to if hider == "replay" else None)
+        hider: of(hider, first, games, f"logs/{hider}", evader.to if hider == "replay" else None)
         for hider, part in MIXTURE.items()
         for first in [settings.seed + part.first_seed]
         if (games := games_needed(first, _sum(wanted[hider], spare[hider])))
@@ -161,11 +162,6 @@ def plan(settings: GatherSettings, wanted: dict[str, Sizes], spare: dict[str, Si
 
 def _sum(some: Sizes, more: Sizes) -> Sizes:
     return some[0] + more[0], some[1] + more[1], some[2] + more[2]
-
-
-def logs_of(settings: CollectSettings) -> list[Path]:
-    """Return the logs that a collection consists of."""
-    return [log_path(settings, block) for block in blocks_of(settings)]
 
 
 def identity_of(settings: GatherSettings) -> dict[str, Any]:
@@ -187,13 +183,11 @@ def read_manifest(folder: Path) -> dict[str, Any]:
 
 def write_manifest(folder: Path, manifest: dict[str, Any]) -> None:
     """Write the manifest as a whole or not at all."""
-    partial = folder / "manifest.json.partial"
-    partial.write_text(json.dumps(manifest, indent=2) + "\n")
-    os.replace(partial, folder / "manifest.json")
+    write_complete(folder / "manifest.json", json.dumps(manifest, indent=2) + "\n")
 
 
 def is_finished(folder: Path, manifest: dict[str, Any]) -> bool:
-    """Return whether the set is whole: its training set is the one that the manifest tells of."""
+    """Return whether the set is whole: its training set is the one that the manifest names."""
     try:
         dataset = json.loads((folder / "dataset" / "manifest.json").read_text())
     except (OSError, ValueError):
@@ -201,19 +195,25 @@ def is_finished(folder: Path, manifest: dict[str, Any]) -> bool:
     return "dataset" in manifest and dataset.get("hash") == manifest["dataset"]["hash"]
 
 
+def differences(held: object, wanted: dict[str, Any]) -> str:
+    """Return in words which settings of a set that is there are others than those that are wanted."""
+    there = held if isinstance(held, dict) else {}
+    return "; ".join(f"--{name} {there.get(name)}, not {value}" for name, value in wanted.items() if there.get(name) != value)
+
+
 def main(settings: GatherSettings) -> int:
     """Gather; returns the exit code."""
     sizes: Sizes = (settings.train, settings.validation, settings.test)
-    if min(sizes) < 0 or sum(sizes) == 0 or settings.steps < 1 or settings.block < 1:
-        print("sizes must not be negative nor all zero, --steps and --block must be at least 1", file=sys.stderr)
-        return 2
+    if min(sizes) < 0 or sum(sizes) == 0 or settings.steps < 1 or settings.block < 1 or settings.workers < 0:
+        raise Refusal("sizes and --workers must not be negative, nor all sizes zero; --steps and --block must be at least 1")
     manifest = read_manifest(settings.to)
-    begun = {"schema_version": SCHEMA_VERSION, "settings": identity_of(settings)}
+    begun: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "settings": identity_of(settings)}
     if manifest and {name: manifest.get(name) for name in begun} != begun:
-        print(f"{settings.to} holds another set, {manifest.get('settings')}: choose another --to", file=sys.stderr)
-        return 2
+        different = differences(manifest.get("settings"), begun["settings"]) or "by another version"
+        raise Refusal(f"{settings.to} holds another set ({different}): choose another --to")
     if is_finished(settings.to, manifest):
-        print(f"{settings.to} is finished: {manifest['dataset']['episodes']}, hash {manifest['dataset']['hash']}")
+        made = manifest["dataset"]
+        print(f"{settings.to / 'dataset'} is finished: {by_split(made['episodes'].values())} games, hash {made['hash']}")
         return 0
     wanted = sizes_by_hider(sizes)
     spare: dict[str, Sizes] = dict.fromkeys(wanted, (0, 0, 0))
@@ -223,13 +223,12 @@ def main(settings: GatherSettings) -> int:
     for _ in range(ROUNDS):
         collections = plan(settings, wanted, spare)
         for number, (name, collection) in enumerate(collections.items(), 1):
-            print(f"{number} of {len(collections) + 1}: {collection.episodes} games, {name}", flush=True)
-            if code := collect(collection):
-                return code
+            print(f"{number} of {len(collections) + 1}: {counted(collection.games, 'game')}, {name}", flush=True)
+            collect(collection)
         print(f"{len(collections) + 1} of {len(collections) + 1}: conversion", flush=True)
         logs = [path for name, collection in collections.items() if name != "evader" for path in logs_of(collection)]
         try:
-            dataset = convert(logs, settings.to / "dataset", settings.workers, wanted=wanted)
+            dataset = convert(logs, settings.to / "dataset", settings.workers, wanted=wanted, force=True, need_every_log=True)
             break
         except TooFewGames as shortage:
             spare |= {hider: _sum(spare[hider], lacking) for hider, lacking in shortage.lacking.items()}
@@ -237,8 +236,8 @@ def main(settings: GatherSettings) -> int:
     else:
         raise Refusal(f"after {ROUNDS} rounds, too few games can serve: see what `vantage convert` leaves out")
     evader = logs_of(collections["evader"]) if "evader" in collections else []
-    hashes = {f"evader/{path.name}": messages_hash([path]) for path in evader}
-    hashes |= {f"logs/{name}": found for name, found in dataset["logs"].items()}  # type: ignore[attr-defined]
+    hashes = {f"evader/{path.name}": hash_of(path) for path in evader}
+    hashes |= {f"logs/{path.parent.name}/{path.name}": dataset["logs"][path.name] for path in logs}
     size = sum(path.stat().st_size for path in (settings.to / "dataset").iterdir())
     write_manifest(
         settings.to,
@@ -246,9 +245,9 @@ def main(settings: GatherSettings) -> int:
             **begun,
             "command": shlex.join(["vantage", "gather", *sys.argv[2:]]),
             "commit": source_commit(),
-            "commits of the logs": sorted({open_log(path).metadata.get("commit", "") for path in (*evader, *logs)}),
+            "commits of the logs": sorted({commit_of(path) for path in (*evader, *logs)}),
             "mixture": {hider: part.share for hider, part in MIXTURE.items()},
-            "seeds": {name: {"first": made.seed, "games": made.episodes} for name, made in collections.items()},
+            "seeds": {name: {"first": made.seed, "games": made.games} for name, made in collections.items()},
             "by split": {hider: dict(zip(SPLITS, counts, strict=True)) for hider, counts in wanted.items()},
             "left_out": dataset["left_out"],
             "dataset": {**{name: dataset[name] for name in ("hash", "episodes", "steps", "caught")}, "bytes": size},
@@ -256,7 +255,23 @@ def main(settings: GatherSettings) -> int:
         },
     )
     warn_of_empty_splits(dataset)
-    print(
-        f"{dataset['episodes']}, {dataset['steps']} steps, {size / 1e6:,.0f} MB, hash {dataset['hash']}, in {settings.to}/dataset"
-    )
+    print(f"{summary_of(dataset)}, {size / 1e6:,.0f} MB, hash {dataset['hash']}, in {settings.to / 'dataset'}")
     return 0
+
+
+def hash_of(path: Path) -> str:
+    """Return the hash of a log's messages.
+
+    Raises:
+        Refusal: it is damaged.
+    """
+    with open_log(path) as log:
+        found = messages_hash(log)
+        if log.breaks:
+            raise Refusal(f"{log.breaks[0]}: remove this log and run it again, its games are then played again")
+    return found
+
+
+def commit_of(path: Path) -> str:
+    """Return the commit of the code that made a log."""
+    return first_metadata(path).get("commit", "")

@@ -11,12 +11,16 @@ from vantage.service import Core, Runtime, run_in_process
 
 
 def play(cores: Mapping[str, Core], games: int, start: int, writer: LogWriter) -> int:
-    """Play until so many games have ended (or were aborted). Returns the number of steps played.
+    """Play until enough games have ended (or were aborted). Returns the number of steps played.
 
     Args:
         cores: participant's name -> core; the referee among them, set to start the games by itself.
         start: ns since the Unix epoch at which the virtual clock starts.
+        games: how many.
         writer: takes every message, as the recorder would.
+
+    Raises:
+        OSError: the writer's disk refuses.
     """
     network = InProcessNetwork(clock=VirtualClock(start))
     recorder = network.session("recorder")

@@ -30,7 +30,8 @@ from vantage.log.reader import Record, find_logs, open_log, read
 from vantage.service import SECOND, Answered, Arrived, Ask, Changed, Core, Publish, Received, Unexpected, Woken
 from vantage.world.camera import Camera
 
-CLOCK_FIELDS = ("stamp", "elapsed")
+CLOCK_FIELDS = {"stamp": 0, "elapsed": 0, "request": ""}
+"""What differs from run to run, and its replacement: times, and the random name of a wish, which a log may begin after."""
 MOST_DIFFERENCES = 5
 LATEST = 10 * SECOND
 """No message takes longer than this to the recorder."""
@@ -155,9 +156,9 @@ def _simulator(contents: Contents) -> Core:
 
 
 def without_clock(message: Message) -> Message:
-    """Return the message with every stamp and time taken set to zero."""
+    """Return the message without what differs from run to run: stamps, times taken, and the name of the wish for a game."""
     names = {entry.name for entry in fields_of(message)}
-    return replace(message, **{name: 0 for name in CLOCK_FIELDS if name in names})
+    return replace(message, **{name: value for name, value in CLOCK_FIELDS.items() if name in names})
 
 
 MOST_HELD = 4096

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from learning.compiling import Compile
+from learning.dataset import DEFAULT_DATASET
 from learning.group import Group
 from learning.recipe import Schedule
 from vantage.cores import available_cores
@@ -22,7 +23,7 @@ class UnusableTraining(UserError, ValueError):
 class SharedSettings:
     """What every training can be told."""
 
-    data: Path = Path("dataset")
+    data: Path = DEFAULT_DATASET
     """The training set."""
     to: Path | None = None
     """Where the weights go, in runs/ if not said; the model card lies beside them."""

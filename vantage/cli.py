@@ -40,6 +40,7 @@ _NOTHING = "nothing was written; run it again"
 _CHECKPOINT = "the same command goes on from the last checkpoint"
 _FIGURES = "finished figures are kept; run it again with --force for all"
 _STAGES = "finished stages are kept; the same command goes on"
+_MEASURED = "what was measured before stays in force; run it again"
 _FILES = "finished files are kept; run it again for the others"
 
 COMMANDS = (
@@ -123,11 +124,18 @@ COMMANDS = (
         _NOTHING,
     ),
     Command("foxglove", "vantage.live_viewer:main", "show a running deployment in Foxglove or Lichtblick"),
-    Command("table print", "vantage.table_commands:print_sheets", "PDFs at true scale for a real table: tags, board, ruler"),
-    Command("table calibrate lens", "vantage.table_commands:calibrate_lens", "measure the overhead camera's lens"),
-    Command("table calibrate arena", "vantage.table_commands:calibrate_arena", "find where the overhead camera hangs"),
-    Command("table calibrate robot", "vantage.table_commands:calibrate_robot", "write down a robot's RGB-D camera and its mount"),
-    Command("table colors", "vantage.table_commands:colors", "measure the robots' colours under your lamps"),
+    Command(
+        "table print", "vantage.table_commands:print_sheets", "PDFs at true scale for a real table: tags, board, ruler", _FILES
+    ),
+    Command("table calibrate lens", "vantage.table_commands:calibrate_lens", "measure the overhead camera's lens", _MEASURED),
+    Command("table calibrate arena", "vantage.table_commands:calibrate_arena", "find where the overhead camera hangs", _MEASURED),
+    Command(
+        "table calibrate robot",
+        "vantage.table_commands:calibrate_robot",
+        "write down a robot's RGB-D camera and its mount",
+        _MEASURED,
+    ),
+    Command("table colors", "vantage.table_commands:colors", "measure the robots' colours under your lamps", _MEASURED),
     Command("table check", "vantage.table_commands:check", "look at a real table before a game"),
 )
 

@@ -20,7 +20,15 @@ from vantage.log.recover import recover as rewrite
 from vantage.log.report import info as describe
 from vantage.printable import printable
 
-console = Console(highlight=False)
+
+class _Output(Console):
+    """A console that leaves it to `vantage.cli` what becomes of a reader that goes away, as `head` does."""
+
+    def on_broken_pipe(self) -> None:
+        raise
+
+
+console = _Output(highlight=False)
 complaints = Console(highlight=False, stderr=True)
 
 Source = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
@@ -66,7 +74,7 @@ class Export:
 
     Examples:
         vantage log export logs/game.mcap
-        vantage log export logs/game.mcap --to video --episode 3
+        vantage log export logs/game.mcap --to video --game 3
         vantage log export logs/ --to lerobot --output hide-and-seek
     """
 
@@ -76,7 +84,7 @@ class Export:
     """For which program."""
     output: Path | None = None
     """The new file, or folder (lerobot, and rerun or video of several games); by default beside the source."""
-    episode: int | None = None
+    game: int | None = None
     """Only the game of this number, see `vantage log info`."""
     force: bool = False
     """Replace an earlier export of that name; nothing else is ever replaced."""
@@ -84,6 +92,8 @@ class Export:
     """lerobot: also what the seeker sees. The hider cannot know it, but LeRobot's policies take every picture as an input."""
     without_catching: bool = False
     """lerobot: also games without catching, which every hider survives."""
+    rate: float | None = None
+    """lerobot: only games of this rate, steps per second (0: as fast as the players answered); a data set has one rate."""
 
 
 def info(settings: Info) -> int:
@@ -123,10 +133,10 @@ def export(settings: Export) -> int:
             settings.source,
             settings.output,
             arena_appearance(),
-            episode=settings.episode,
+            episode=settings.game,
             force=settings.force,
             progress=progress,
-            choice=Choice(settings.seeker_pictures, settings.without_catching),
+            choice=Choice(settings.seeker_pictures, settings.without_catching, settings.rate),
         )
     for text in done.said:
         print_plain(text)
@@ -135,6 +145,6 @@ def export(settings: Export) -> int:
     return 2 if done.breaks else 0
 
 
-def print_plain(text: str, to: Console | None = None, style: str = "") -> None:
+def print_plain(text: str, to: Console = console, style: str = "") -> None:
     """Print a line that holds names from files, without what a terminal would obey."""
-    (to or console).print(Text(printable(text, 10_000), style), soft_wrap=True)
+    to.print(Text(printable(text, 10_000), style), soft_wrap=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from learning.collect import CollectSettings, play_block
-from schemas import ROBOTS, STATE_IMAGE_SIZE, Episode, Motion, Rules
+from schemas import ROBOTS, STATE_IMAGE_SIZE, Episode, Motion
 from vantage.networks.inputs import CHANNELS, render_inputs
 from vantage.service import SECOND, Arrived, Captured, Woken, Write
 
@@ -57,7 +57,7 @@ def main() -> None:
     started = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
         for hider in HIDERS:
-            settings = CollectSettings(episodes=1, hider=hider, views=True, rules=Rules(maximum_steps=STEPS, catching=False))
+            settings = CollectSettings(games=1, hider=hider, views=True, steps=STEPS, catching=False)
             play_block(settings, range(1, 2), Path(folder) / f"{hider}.mcap")
         if all(find_spec(package) for package in ("cv2", "pupil_apriltags")):
             look_at_a_table(Path(folder))

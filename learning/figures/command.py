@@ -12,7 +12,7 @@ from typing import Any
 import torch
 from matplotlib.figure import Figure
 
-from learning.dataset import Dataset
+from learning.dataset import DEFAULT_DATASET, Dataset
 from learning.figures import charts, games, maps
 from learning.figures.style import METHODS, save
 from learning.methods.machine import Machine
@@ -32,7 +32,7 @@ class FiguresSettings:
     Example: vantage figures --data dataset/ --weights weights/ --results results/ --to figures/
     """
 
-    data: Path = Path("dataset")
+    data: Path = DEFAULT_DATASET
     """The training set; pictures show its test games."""
     weights: Path | None = None
     """Folder with the networks; if not said, runs/ where a training has left some, else the released ones. What is not there is
@@ -123,8 +123,9 @@ def _run(settings: FiguresSettings, data: Dataset, ranking: dict[str, Any]) -> F
     if ranking:
         layout, seeker, seed, steps = ranking["layout"], ranking["seeker"], ranking["starts"][0], ranking["horizons"][0]
     else:
-        episode = data.episodes[data.of_split("test")[0]]
-        layout, seeker = episode["layout"].decode(), episode["seeker"].decode()
+        row = int(data.of_split("test")[0])
+        episode = data.episodes[row]
+        layout, seeker = data.name_of(row, "layout"), data.name_of(row, "seeker")
         seed, steps = int(episode["seed"]), int(episode["horizon"])
     assert settings.weights is not None
     return run(play_run(settings.weights, layout, seeker, seed, steps, settings.threads))

@@ -73,8 +73,8 @@ def game_of(data: Dataset, row: int) -> Shown:
         int(episode["seed"]),
         int(episode["horizon"]),
         None if caught < 0 else caught,
-        episode["hider"].decode(),
-        make_layout(episode["layout"].decode(), int(episode["seed"])),
+        data.name_of(row, "hider"),
+        make_layout(data.name_of(row, "layout"), int(episode["seed"])),
         poses[:, : caught + 1] if caught >= 0 else poses,
         data.positions[plan["first_position"] : plan["first_position"] + plan["positions"]],
     )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections import Counter
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -17,7 +16,7 @@ from schemas import PRIMITIVES
 from vantage.log import find_logs, open_log
 from vantage.log.episodes import EpisodeLog, games_of
 from vantage.log.games import unfinished
-from vantage.log.reader import BrokenLog
+from vantage.printable import printable
 from vantage.world.arena import STAY
 
 TrajectoriesBySplit = tuple[Trajectories, Trajectories, Trajectories]
@@ -35,19 +34,22 @@ class Recorded:
         by_split: trajectories (int64 [steps] of primitives each), by the split of the game they were recorded in.
         drivers: who drove the hider (`players.hider`) -> how many trajectories.
         left_out: reason -> how many games.
+        breaks: what could not be read of them, a line each.
     """
 
     by_split: TrajectoriesBySplit = NO_TRAJECTORIES
     drivers: Counter[str] = field(default_factory=Counter)
     left_out: Counter[str] = field(default_factory=Counter)
+    breaks: list[str] = field(default_factory=list)
 
     def __str__(self) -> str:
-        """How many trajectories of whom, in one line."""
+        """Return how many trajectories there are of whom, in one line."""
         by_split = ", ".join(f"{len(found)} {split}" for split, found in zip(SPLITS, self.by_split, strict=True))
-        drivers = ", ".join(f"{count} of {driver}" for driver, count in sorted(self.drivers.items()))
-        left_out = ", ".join(f"{count} {reason}" for reason, count in sorted(self.left_out.items()))
-        said = f"{self.drivers.total()} trajectories, {drivers} ({by_split})" if self.drivers else "no trajectory"
-        return f"{said}; left out: {left_out}" if left_out else said
+        drivers = ", ".join(f"{count} of {printable(driver)}" for driver, count in sorted(self.drivers.items()))
+        left_out = ", ".join(f"{count} {printable(reason)}" for reason, count in sorted(self.left_out.items()))
+        total = self.drivers.total()
+        found = f"{total} {'trajectory' if total == 1 else 'trajectories'}, {drivers} ({by_split})" if total else "no trajectory"
+        return f"{found}; left out: {left_out}" if left_out else found
 
 
 def trajectories_hash(trajectories: TrajectoriesBySplit) -> str:
@@ -68,7 +70,7 @@ def read_trajectories(source: Path, driver: str | None = None) -> Recorded:
         driver: only games whose hider this one drove (`human`, `planner`, `scripted-1`, ...); None = all.
 
     Raises:
-        FileNotFoundError: there is no log.
+        NoSuchLog: there is none.
     """
     found: tuple[list[NDArray[np.int64]], ...] = ([], [], [])
     recorded = Recorded()
@@ -83,8 +85,7 @@ def read_trajectories(source: Path, driver: str | None = None) -> Recorded:
                     continue
                 recorded.drivers[hider] += 1
                 found[split_of(game.episode.seed)].append(primitives)
-            for text in log.breaks:
-                warnings.warn(text, BrokenLog, stacklevel=2)
+            recorded.breaks += [f"{printable(text)}: only what is whole is replayed" for text in log.breaks]
     train, validation, test = (tuple(trajectories) for trajectories in found)
     recorded.by_split = train, validation, test
     return recorded

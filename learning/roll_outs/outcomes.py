@@ -132,8 +132,8 @@ def recorded_hider(dataset: Dataset, row: int) -> tuple[Start, tuple[float, floa
         ValueError: see `oracle_catch_steps`.
     """
     episode = dataset.episodes[row]
-    seed, hider = int(episode["seed"]), episode["hider"].decode()
-    start = start_of(episode["layout"].decode(), seed)
+    seed, hider = int(episode["seed"]), dataset.name_of(row, "hider")
+    start = start_of(dataset.name_of(row, "layout"), seed)
     recorded = dataset.steps["hider"][episode["first_step"]]
     x, y, heading = start.poses[HIDER].tolist()
     if abs(recorded["x"] - x) > 1e-5 or abs(recorded["y"] - y) > 1e-5:

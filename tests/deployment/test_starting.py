@@ -15,11 +15,15 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from supervisor.options import ServerOptions
 
+from tests.deployment.conftest import Small
 from vantage import deployment, process_table
-from vantage.commands import Up, up
-from vantage.deployment import Deployment, DeploymentError
+from vantage.bus.zenoh_bus import ZenohBus
+from vantage.commands import Up, _diagnosis, up
+from vantage.deployment import Deployment, DeploymentError, Process
+from vantage.errors import UserError
 from vantage.process_table import ConfigurationError, programs_of, with_extra_arguments, with_this_interpreter
 from vantage.supervisor import OPEN_FILES
+from vantage.watch import judge
 
 TEXT = "[supervisord]\n\n[program:planner]\ncommand=python -m services.planner --folder .\n"
 
@@ -162,3 +166,38 @@ def test_a_disk_for_logs_that_is_full_or_read_only_is_named(home: Path, option: 
         assert not list(disk.iterdir())
     finally:
         subprocess.run(["umount", disk], check=True)
+
+
+@pytest.mark.parametrize("arena", ["", "two words", "a/b", "*", "a#b", "$x", "tëst", "x" * 65, "a\nb", "%(ENV_HOME)s"])
+def test_an_arena_whose_name_cannot_be_in_a_key_is_one_line(home: Path, arena: str) -> None:
+    with pytest.raises(UserError) as caught:
+        ZenohBus("command-line", home, arena)
+    assert len(str(caught.value).splitlines()) == 1
+    assert not list(home.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("command", "reason"),
+    [
+        ("nowhere -m services.referee", "can't find command 'nowhere'"),
+        ("python -m services.referee --folder . --arena 'two words'", "referee cannot start: arena 'two words' must be one word"),
+    ],
+)
+def test_a_service_that_cannot_start_is_told_without_waiting_for_the_end(
+    small: Small, home: Path, command: str, reason: str
+) -> None:
+    table = home / "compose" / "small.conf"
+    table.write_text(table.read_text().replace("python -m services.referee --folder . --arena table", command))
+    with pytest.raises(DeploymentError) as caught:
+        up(Up(deployment="small", folder=small.folder, logs=small.logs, timeout=600.0))
+    assert reason in str(caught.value)
+    assert not small.deployment.is_running()
+
+
+def test_what_a_service_could_not_start_for_is_given_once(home: Path) -> None:
+    folder = home / "run"
+    folder.mkdir(mode=0o700)
+    (folder / "recorder.log").write_text("recorder cannot start: the disk is full\n" * 4)
+    process = Process("recorder", "BACKOFF", 0, restarts=3, uptime=0.0, memory=0, complaint="Exited too quickly")
+    text = _diagnosis(Deployment("simulation", folder), judge(process, None, 0.0))
+    assert text == "recorder cannot start: the disk is full"

@@ -8,7 +8,6 @@ from torch import nn
 from learning.collect import CollectSettings, play_block
 from learning.convert import convert
 from learning.dataset import Dataset
-from schemas import Rules
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
 from vantage.networks.hazard import Hazard, HazardSettings
 from vantage.networks.hazard_attention import HazardAttention, HazardAttentionSettings
@@ -21,7 +20,7 @@ NARROW = (4, 4, 4, 4, 4, 4, 8, 8)
 
 
 def play_dataset(folder: Path, games: int = 30, steps: int = 40) -> Dataset:
-    settings = CollectSettings(hider="goal-walk", seed=52, rules=Rules(maximum_steps=steps))  # seeds of all three splits
+    settings = CollectSettings(hider="goal-walk", seed=52, steps=steps)  # seeds of all three splits
     play_block(settings, range(1, games + 1), folder / "log.mcap")
     convert([folder / "log.mcap"], folder / "dataset", workers=1, quiet=True)
     return Dataset(folder / "dataset")

@@ -10,7 +10,6 @@ from learning.collect import CollectSettings, play_block
 from learning.convert import convert
 from learning.dataset import SPLITS, Batch, Dataset, Samples, UnusableDataset, prefetch
 from learning.splits import split_of
-from schemas import Rules
 from vantage.log import read
 from vantage.log.episodes import EpisodeLog, episodes
 from vantage.networks.inputs import CHANNELS, render_inputs
@@ -22,7 +21,7 @@ GAMES = 12
 
 
 def play(folder: Path, hider: str, first: int, count: int, **rules: object) -> None:
-    settings = CollectSettings(hider=hider, seed=first, rules=Rules(maximum_steps=T, **rules))  # type: ignore[arg-type]
+    settings = CollectSettings(hider=hider, seed=first, steps=T, **rules)  # type: ignore[arg-type]
     play_block(settings, range(1, count + 1), folder / f"{hider}_{first}.mcap")
 
 

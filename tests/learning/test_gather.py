@@ -12,12 +12,13 @@ import pytest
 
 from learning import collect, gather
 from learning.collect import LARGEST_SEED, CollectSettings
-from learning.convert import ConvertSettings, TooFewGames, convert, messages_hash
+from learning.convert import ConvertSettings, convert
 from learning.convert import main as convert_main
 from learning.dataset import Dataset
+from learning.dataset_tables import TooFewGames
 from learning.gather import MIXTURE, GatherSettings, Refusal, games_needed, plan, sizes_by_hider
 from learning.splits import SPLITS, split_of
-from schemas import Rules
+from vantage.errors import UserError
 from vantage.log import find_logs
 
 SMALL = GatherSettings(train=11, validation=3, test=2, steps=12, block=25, workers=1)
@@ -89,8 +90,8 @@ def test_interrupted_and_gone_on_gives_the_same_bits(
     real = gather.collect
 
     def breaks_off(collection: CollectSettings) -> int:
-        if collection.to.name == at or collection.hider == at:
-            real(replace(collection, episodes=collection.block))
+        if at in (collection.to.name, collection.hider):
+            real(replace(collection, games=collection.block))
             raise Interrupted
         return real(collection)
 
@@ -99,7 +100,7 @@ def test_interrupted_and_gone_on_gives_the_same_bits(
 
     with monkeypatch.context() as broken:
         if at == "conversion":
-            broken.setattr("learning.convert._shift_rows", fails)
+            broken.setattr("learning.convert.shift_rows", fails)
         else:
             broken.setattr(gather, "collect", breaks_off)
         with pytest.raises(Interrupted):
@@ -116,14 +117,12 @@ def test_the_hashes_do_not_depend_on_the_commit(whole: Path, tmp_path: Path, mon
     """A log's file names the commit; what was said in it, and the training set, must not."""
     monkeypatch.setattr(collect, "source_commit", lambda: "another commit")
     made = plan(replace(SMALL, to=tmp_path), sizes_by_hider((11, 3, 2)), dict.fromkeys(MIXTURE, (0, 0, 0)))["random"]
-    (block, *_) = collect.blocks_of(made)
-    name = collect.log_path(made, block).name
-    collect.play_block(made, block, tmp_path / name)
-    assert (tmp_path / name).read_bytes() != (whole / "logs" / name).read_bytes()
-    assert (
-        messages_hash([tmp_path / name]) == messages_hash([whole / "logs" / name]) == manifest_of(whole)["logs"][f"logs/{name}"]
-    )
-    first, second = (convert([path / name], tmp_path / f"d{n}", 1, True) for n, path in enumerate((tmp_path, whole / "logs")))
+    name = collect.log_path(made, made.seed).name
+    collect.play_block(made, range(1, made.block + 1), tmp_path / name)
+    there = whole / "logs" / "random" / name
+    assert (tmp_path / name).read_bytes() != there.read_bytes()
+    assert gather.hash_of(tmp_path / name) == gather.hash_of(there) == manifest_of(whole)["logs"][f"logs/random/{name}"]
+    first, second = (convert([path], tmp_path / f"d{n}", 1, True) for n, path in enumerate((tmp_path / name, there)))
     assert first["hash"] == second["hash"]
 
 
@@ -138,8 +137,11 @@ def test_a_finished_set_says_so_and_another_configuration_is_refused(whole: Path
         replace(SMALL, train=12),
         replace(SMALL, seed=2),
     ):
-        assert gather.main(replace(other, to=whole)) == 2
-        assert "another set" in capsys.readouterr().err
+        with pytest.raises(Refusal, match="another set") as refused:
+            gather.main(replace(other, to=whole))
+        (changed,) = (name for name in vars(other) if getattr(other, name) != getattr(SMALL, name))
+        held, wanted = getattr(SMALL, changed), getattr(other, changed)
+        assert f"(--{changed} {held}, not {wanted})" in str(refused.value)
     assert {path: path.stat().st_mtime_ns for path in whole.rglob("*")} == before
 
 
@@ -149,7 +151,7 @@ def test_no_seed_serves_two_policies_and_all_kinds_share_their_seeds() -> None:
     ranges = {}
     for kind in (GatherSettings(), GatherSettings(seeker="expert"), GatherSettings(layout="lab"), GatherSettings(steps=350)):
         made = plan(kind, wanted, spare)
-        ranges[kind] = {name: range(one.seed, one.seed + one.episodes) for name, one in made.items()}
+        ranges[kind] = {name: range(one.seed, one.seed + one.games) for name, one in made.items()}
         assert [one.hider for one in made.values()] == ["scripted", *HIDERS]
         assert all(one.rules.catching == (name != "evader") for name, one in made.items())
         assert made["replay"].source == made["evader"].to
@@ -201,15 +203,15 @@ def test_games_that_cannot_serve_are_made_up_for(tmp_path: Path, monkeypatch: py
     first, second = collected[:4], collected[4:]
     train, validation, test = wanted["random"]
     for before, after in zip(first, second, strict=True):
-        more = games_needed(before.seed, (train + 2, validation, test + 1)) if before.hider == "random" else before.episodes
-        assert after == replace(before, episodes=more)
+        more = games_needed(before.seed, (train + 2, validation, test + 1)) if before.hider == "random" else before.games
+        assert after == replace(before, games=more)
 
 
 def test_too_few_games_are_told_and_leave_the_old_set(whole: Path, tmp_path: Path) -> None:
     convert([whole / "logs"], tmp_path / "set", workers=1, quiet=True)
     before = (tmp_path / "set" / "manifest.json").read_bytes()
     with pytest.raises(TooFewGames, match="gather more") as refused:
-        convert([whole / "logs"], tmp_path / "set", workers=1, quiet=True, wanted={"random": (10_000, 0, 0)})
+        convert([whole / "logs"], tmp_path / "set", workers=1, quiet=True, wanted={"random": (10_000, 0, 0)}, force=True)
     assert 9_900 < refused.value.lacking["random"][0] < 10_000
     assert (tmp_path / "set" / "manifest.json").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
@@ -217,40 +219,37 @@ def test_too_few_games_are_told_and_leave_the_old_set(whole: Path, tmp_path: Pat
 
 def test_an_empty_split_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     seed = next(seed for seed in range(1, 99) if split_of(seed) == split_of(seed + 1) == 0)
-    made = CollectSettings(hider="random", seed=seed, rules=Rules(maximum_steps=5))
+    made = CollectSettings(hider="random", seed=seed, steps=5)
     collect.play_block(made, range(1, 3), tmp_path / "log.mcap")
     assert convert_main(ConvertSettings((tmp_path / "log.mcap",), tmp_path / "set", workers=1)) == 0
-    assert f"no {SPLITS[1]} and no {SPLITS[2]} episodes" in capsys.readouterr().err
+    assert f"no {SPLITS[1]} and no {SPLITS[2]} games" in capsys.readouterr().err
 
 
-def test_seeds_that_the_virtual_clock_cannot_hold_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    rules = Rules(maximum_steps=3)
-    last = CollectSettings(episodes=1, hider="random", seed=LARGEST_SEED, to=tmp_path, workers=1, rules=rules)
+def test_seeds_that_the_virtual_clock_cannot_hold_are_refused(tmp_path: Path) -> None:
+    last = CollectSettings(games=1, hider="random", seed=LARGEST_SEED, to=tmp_path, workers=1, steps=3)
     assert collect.main(last) == 0
-    for impossible in (replace(last, episodes=2), replace(last, seed=10**9), replace(last, seed=-1), replace(last, episodes=0)):
-        assert collect.main(impossible) == 2
-        assert f"0 .. {LARGEST_SEED:,}" in capsys.readouterr().err
+    for impossible in (replace(last, games=2), replace(last, seed=10**9), replace(last, seed=-1), replace(last, games=0)):
+        with pytest.raises(UserError, match=f"0 .. {LARGEST_SEED:,}"):
+            collect.main(impossible)
 
 
-def test_a_replay_of_other_recordings_is_not_kept(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    evader = CollectSettings(
-        episodes=40, hider="random", seed=20, to=tmp_path / "evader", workers=1, rules=Rules(maximum_steps=4, catching=False)
-    )
-    replay = replace(evader, episodes=2, hider="replay", to=tmp_path / "replay", source=evader.to, rules=Rules(maximum_steps=4))
+def test_a_replay_of_other_recordings_is_not_kept(tmp_path: Path) -> None:
+    evader = CollectSettings(games=40, hider="random", seed=20, to=tmp_path / "evader", workers=1, steps=4, catching=False)
+    replay = replace(evader, games=2, hider="replay", to=tmp_path / "replay", source=evader.to, catching=True)
     assert collect.main(evader) == collect.main(replay) == collect.main(replay) == 0
-    assert collect.main(replace(evader, seed=120)) == 0
-    assert collect.main(replay) == 2
-    assert "other trajectories" in capsys.readouterr().err
+    assert collect.main(replace(evader, seed=120, to=evader.to / "more")) == 0
+    with pytest.raises(UserError, match="other trajectories"):
+        collect.main(replay)
 
 
 def test_unfinished_logs_of_the_dead_are_removed_and_those_of_the_living_kept(tmp_path: Path) -> None:
     process = multiprocessing.get_context("spawn").Process(target=print)
     process.start()
     process.join()
-    mine, dead = tmp_path / f"a.{multiprocessing.current_process().pid}.partial", tmp_path / f"a.{process.pid}.partial"
+    mine, dead = (tmp_path / f".a.partial-{pid}.mcap" for pid in (multiprocessing.current_process().pid, process.pid))
     mine.touch()
     dead.touch()
-    settings = CollectSettings(episodes=1, hider="random", to=tmp_path, workers=1, rules=Rules(maximum_steps=3))
+    settings = CollectSettings(games=1, hider="random", to=tmp_path, workers=1, steps=3)
     assert collect.main(settings) == 0
     assert mine.exists() and not dead.exists()
     assert len(find_logs(tmp_path)) == 1

@@ -29,6 +29,7 @@ from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore
 from tests.log.making import records_of, write_log
+from vantage.errors import UserError
 from vantage.log import LogWriter, Record, open_log, read
 from vantage.log.episodes import EpisodeLog, episodes, games_of
 from vantage.service import SECOND, Arrived, Core, Declaration, Publish, Received, Send, Woken
@@ -260,7 +261,7 @@ def test_human_trajectories_are_replayed_from_other_starts(log: Path, tmp_path: 
     folder = tmp_path / "recordings"
     folder.mkdir()
     (folder / "table.mcap").write_bytes(log.read_bytes())
-    others = CollectSettings(episodes=12, hider="random", to=folder / "others", workers=1, rules=Rules(maximum_steps=STEPS))
+    others = CollectSettings(games=12, hider="random", to=folder / "others", workers=1, steps=STEPS)
     assert main(others) == 0
     replayed = replace_settings(others, hider="replay", to=tmp_path / "replayed", source=folder, driver="human", seed=500)
     assert main(replayed) == 0
@@ -279,17 +280,14 @@ def test_human_trajectories_are_replayed_from_other_starts(log: Path, tmp_path: 
         np.testing.assert_array_equal(primitives, expected)
         assert game.episode.players == Players(hider="replay")
     assert PERSON.encode() not in made.read_bytes()
-    assert main(replace_settings(replayed, driver="scripted", to=tmp_path / "none")) == 2
-    said = capsys.readouterr().err
-    assert "holds no hider trajectory that `scripted` drove" in said and "driven by random" in said
-    assert main(replace_settings(replayed, source=tmp_path / "nowhere")) == 2
-    assert "no log" in capsys.readouterr().err
+    with pytest.raises(UserError, match=r"holds no hider trajectory that `scripted` drove.*driven by random"):
+        main(replace_settings(replayed, driver="scripted", to=tmp_path / "none"))
+    with pytest.raises(UserError, match="no log"):
+        main(replace_settings(replayed, source=tmp_path / "nowhere"))
 
 
 def test_discarded_games_and_names_stay_out_of_training_sets(log: Path, tmp_path: Path) -> None:
-    play_block(
-        CollectSettings(hider="goal-walk", seed=900, rules=Rules(maximum_steps=STEPS)), range(1, 4), tmp_path / "made.mcap"
-    )
+    play_block(CollectSettings(hider="goal-walk", seed=900, steps=STEPS), range(1, 4), tmp_path / "made.mcap")
     manifest = convert([log, tmp_path / "made.mcap"], tmp_path / "dataset", workers=1, quiet=True)
     assert manifest["hiders"] == {"goal-walk": 3}
     assert manifest["left_out"] == {"discarded by the player": 3, "no planned path": 3}
@@ -301,7 +299,7 @@ def test_discarded_games_and_names_stay_out_of_training_sets(log: Path, tmp_path
 
 def test_a_game_that_could_serve_is_left_out_only_because_it_was_discarded(tmp_path: Path) -> None:
     path = tmp_path / "made.mcap"
-    play_block(CollectSettings(hider="goal-walk", seed=900, rules=Rules(maximum_steps=STEPS)), range(1, 5), path)
+    play_block(CollectSettings(hider="goal-walk", seed=900, steps=STEPS), range(1, 5), path)
     records = list(read(path))
     wish = Control(stamp=1, episode=900, action="discard")
     last = records[-1].log_time

@@ -22,7 +22,6 @@ from learning.roll_outs.start import start_of
 from learning.splits import SPLITS, split_of
 from learning.train_vpn import Views, repeated, streamed
 from learning.value_maps.truth import seeds_of_test_split
-from schemas import Rules
 from tests.learning.made_weights import NARROW, save_untrained
 from vantage.log import read
 from vantage.log.episodes import EpisodeLog, episodes
@@ -301,7 +300,7 @@ def test_plans_do_not_know_of_the_catch(tmp_path: Path) -> None:
     for hider in ("goal-walk", "random"):
         pair = []
         for catching in (True, False):
-            settings = CollectSettings(hider=hider, seed=5, rules=Rules(maximum_steps=T, catching=catching))
+            settings = CollectSettings(hider=hider, seed=5, steps=T, catching=catching)
             path = tmp_path / f"{hider}-{catching}.mcap"
             play_block(settings, range(1, 9), path)
             pair.append({game.episode.seed: game for game in episodes(read(path))})

@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from learning.collect import CollectSettings, play_block
 from learning.demo import views_request
 from learning.picture import _true_view, draw, draw_value_map, read_game
-from schemas import Plan, PredictReply, PredictRequest, Rules, StateImage, encode
+from schemas import Plan, PredictReply, PredictRequest, StateImage, encode
 from vantage.log import LogWriter, read
 from vantage.perception.palette import view_for_people, view_palette
 from vantage.world.arena import ROBOT_COLORS
@@ -20,7 +20,7 @@ from vantage.world.arena import ROBOT_COLORS
 def game_with_predictions(folder: Path) -> Path:
     """A real game's log, with a question for predicted views and an answer of plain colours behind it."""
     played, path = folder / "played.mcap", folder / "game.mcap"
-    settings = CollectSettings(episodes=1, hider="goal-walk", to=folder, views=True, rules=Rules(maximum_steps=60))
+    settings = CollectSettings(games=1, hider="goal-walk", to=folder, views=True, steps=60)
     play_block(settings, range(3, 4), played)
     records = list(read(played))
     decoded = [record.decode() for record in records]

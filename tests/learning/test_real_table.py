@@ -79,9 +79,7 @@ def test_a_mixture_of_real_and_simulated_games_trains(
     (tmp_path / "logs").mkdir()
     ended = record_real_game(calibration, seed, tmp_path / "logs" / "real.mcap")
     assert (ended.phase, ended.outcome, ended.step) == ("ended", "survived", STEPS), ended
-    simulated = CollectSettings(
-        hider="random", seed=1000, rules=Rules(maximum_steps=STEPS, layout="lab", start_distance_minimum=0.35)
-    )
+    simulated = CollectSettings(hider="random", seed=1000, steps=STEPS, layout="lab", start_distance=(0.35, 0.45))
     play_block(simulated, range(1, 25), tmp_path / "logs" / "simulated.mcap")
     convert(sorted((tmp_path / "logs").glob("*.mcap")), tmp_path / "dataset", workers=1, quiet=True)
     data = Dataset(tmp_path / "dataset")

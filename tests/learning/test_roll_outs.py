@@ -9,7 +9,6 @@ from learning.dataset import Dataset, Samples
 from learning.roll_outs import catch_steps, first_view, goal_paths, oracle_catch_steps, simulation_seeds, start_of
 from learning.roll_outs.game import Lens, Minds, roll_out_game
 from learning.roll_outs.outcomes import recorded_hider
-from schemas import Rules
 from services.seeker.policy import PRESETS
 from vantage.world.arena import ARENA_SIZE, GOALS
 from vantage.world.camera import Camera
@@ -26,7 +25,7 @@ def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     recorded = tuple(generator.integers(1, 5, 90) for _ in range(3))
     for seeker in ("glancing", "expert"):
         for hider, seed in (("goal-walk", 1), ("random", 2001), ("replay", 4001)):
-            settings = CollectSettings(hider=hider, seeker=seeker, seed=seed, rules=Rules(maximum_steps=STEPS))  # type: ignore[arg-type]
+            settings = CollectSettings(hider=hider, seeker=seeker, seed=seed, steps=STEPS)  # type: ignore[arg-type]
             trajectories = (recorded, recorded, recorded) if hider == "replay" else NO_TRAJECTORIES
             play_block(settings, range(1, GAMES + 1), folder / "logs" / f"{hider}_{seeker}.mcap", trajectories)
     convert([folder / "logs"], folder / "set", workers=1, quiet=True)

@@ -18,7 +18,6 @@ from learning.group import Group
 from learning.recipe import CAUGHT_PRESETS, CaughtModel, CaughtRecipe
 from learning.train_caught import TrainCaughtSettings, Trainer, make_network
 from learning.training_identity import OtherTraining
-from schemas import Rules
 from vantage.networks.hazard import Hazard, HazardSettings
 from vantage.networks.weights import load_any, read_card
 
@@ -31,7 +30,7 @@ MODELS: tuple[CaughtModel, ...] = ("hazard", "hazard-attention", "coordinate-pat
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("training")
-    settings = CollectSettings(hider="goal-walk", seed=52, rules=Rules(maximum_steps=T))  # seeds of all three splits
+    settings = CollectSettings(hider="goal-walk", seed=52, steps=T)  # seeds of all three splits
     play_block(settings, range(1, 31), folder / "log.mcap")
     convert([folder / "log.mcap"], folder / "dataset", workers=1, quiet=True)
     return Dataset(folder / "dataset")

@@ -21,7 +21,6 @@ from learning.train_vpt_tob import TrainVptTobSettings
 from learning.trainer import Model, Trainer
 from learning.training_identity import OtherTraining
 from learning.training_settings import UnusableTraining
-from schemas import Rules
 from vantage.networks.inference import Inference
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
 from vantage.networks.weights import UnusableWeights, load, read_card
@@ -33,7 +32,7 @@ SMALL = replace(PRESETS["compact"], network=VptTobSettings(width=0.25, whole_ima
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory: pytest.TempPathFactory) -> Dataset:
     folder = tmp_path_factory.mktemp("training")
-    settings = CollectSettings(hider="goal-walk", seed=52, rules=Rules(maximum_steps=40))  # seeds of all three splits
+    settings = CollectSettings(hider="goal-walk", seed=52, steps=40)  # seeds of all three splits
     play_block(settings, range(1, 31), folder / "log.mcap")
     convert([folder / "log.mcap"], folder / "dataset", workers=1, quiet=True)
     return Dataset(folder / "dataset")

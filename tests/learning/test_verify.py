@@ -10,7 +10,7 @@ from msgspec.structs import replace
 from learning.collect import CollectSettings, play_block
 from learning.process_replay import ProcessReplay, answers_as_heard, replay_service
 from learning.verify import VerifySettings, check, check_game, main
-from schemas import GOAL_COUNT, Command, Message, Plan, PredictReply, PredictRequest, Rules, Tick, encode
+from schemas import GOAL_COUNT, Command, Message, Plan, PredictReply, PredictRequest, Tick, encode
 from services.simulator.core import SimulatorSettings
 from tests.log.making import records_of, write_log
 from vantage.log import LogWriter, Record, open_log, read
@@ -24,7 +24,7 @@ Change = Callable[[Message], Message | None]
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("verify") / "game.mcap"
-    play_block(CollectSettings(hider="goal-walk", views=True, rules=Rules(maximum_steps=40)), range(3, 4), path)
+    play_block(CollectSettings(hider="goal-walk", views=True, steps=40), range(3, 4), path)
     return path
 
 
@@ -129,7 +129,7 @@ def test_a_game_that_somebody_stopped_is_neither_good_nor_bad(log: Path, reason:
 def test_a_collected_log_is_good_with_the_settings_it_was_made_with(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], views: bool
 ) -> None:
-    made = CollectSettings(hider="random", seed=77, views=views, rules=Rules(maximum_steps=30))
+    made = CollectSettings(hider="random", seed=77, views=views, steps=30)
     camera = SimulatorSettings(Camera(width=40, height=12, horizontal_fov=1.1))
     path = tmp_path / "log.mcap"
     play_block(with_changes(made, world=camera), range(1, 4), path)

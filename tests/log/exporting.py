@@ -12,7 +12,7 @@ import numpy as np
 from msgspec import structs
 
 from learning.collect import CollectSettings, play_block
-from schemas import GOAL_COUNT, STATE_IMAGE_SIZE, Control, Episode, Plan, Players, PredictReply, PredictRequest, Rules, encode
+from schemas import GOAL_COUNT, STATE_IMAGE_SIZE, Control, Episode, Plan, Players, PredictReply, PredictRequest, encode
 from services.simulator.core import SimulatorSettings
 from tests.log.making import write_record
 from vantage.log import LogWriter, Record, RunMetadata, read
@@ -32,10 +32,11 @@ def real_log(games: int = 3, steps: int = 12) -> Path:
 def make_log(folder: Path, games: int, steps: int) -> Path:
     """Make a log of real games with pictures, state images, plans with values, predictions and a person's name."""
     settings = CollectSettings(
-        episodes=games,
+        games=games,
         hider="goal-walk",
         to=folder,
-        rules=Rules(maximum_steps=steps, catching=False),
+        steps=steps,
+        catching=False,
         world=SimulatorSettings(Camera(width=160, height=120)),
         views=True,
     )

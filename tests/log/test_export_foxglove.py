@@ -141,7 +141,7 @@ def test_a_full_disk_is_one_line_that_names_the_target(tmp_path: Path, format: s
     """A limit of the file size stands for the full disk: the system refuses to write in the same place."""
     if format == "video":
         limit //= 20  # a video of this game is not as large
-    words = [VANTAGE, "log", "export", real_log(3, 60), "--to", format, "--output", tmp_path / "out", "--episode", "2"]
+    words = [VANTAGE, "log", "export", real_log(3, 60), "--to", format, "--output", tmp_path / "out", "--game", "2"]
     if format == "lerobot":
         words.append("--without-catching")
 
@@ -159,12 +159,12 @@ def test_a_disk_that_is_full_but_for_a_little_is_full(tmp_path: Path, monkeypatc
     """What closing writes may fit where a whole chunk did not: the copy is short all the same."""
     write_chunk, calls = Part.write_chunk, 0
 
-    def once_full(self: Part, group: str) -> None:
+    def once_full(self: Part, group: str) -> bool:
         nonlocal calls
         calls += 1
         if calls == 1:
             raise ChunkLost(OSError(errno.ENOSPC, "No space left on device"), {("hider/color", "simulator"): 1})
-        write_chunk(self, group)
+        return write_chunk(self, group)
 
     monkeypatch.setattr(Part, "write_chunk", once_full)
     with pytest.raises(OSError, match=f"No space left on device: '{tmp_path / 'out.mcap'}'"):
@@ -271,7 +271,7 @@ def test_an_interrupted_export_leaves_nothing_under_its_name(tmp_path: Path, for
     target = tmp_path / "target"
     command = [VANTAGE, "log", "export", real_log(3, 250), "--to", format, "--output", target]
     if format in ("rerun", "video"):
-        command += ["--episode", "2"]
+        command += ["--game", "2"]
     if format == "lerobot":
         command.append("--without-catching")
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)

@@ -170,6 +170,25 @@ def test_surviving_without_catching_is_no_success_and_not_there_unless_asked_for
     assert "catches were ignored" not in (tmp_path / "set/README.md").read_text()
 
 
+def test_games_of_several_rates_are_refused_and_chosen_by_rate(tmp_path: Path) -> None:
+    fast = [
+        (key, structs.replace(message, rules=Rules(step_period=0.05)) if isinstance(message, Episode) else message)
+        for number in (2, 3)
+        for key, message in game(number, 3)
+    ]
+    write(tmp_path / "log.mcap", records_of([*game(1, 4), *fast]))
+    with pytest.raises(ExportError, match=r"\(4 Hz: 1; 20 Hz: 2, 3\): choose with --rate, or one --game"):
+        export_to("lerobot", tmp_path / "log.mcap", tmp_path / "set", LOOKS)
+    assert [path.name for path in tmp_path.iterdir()] == ["log.mcap"]
+    for rate, numbers, left_out in ((4.0, [1], "2 games of another rate than 4 Hz (2, 3)"), (20.0, [2, 3], "1 game of another")):
+        folder = tmp_path / f"{rate:g}"
+        done = export_to("lerobot", tmp_path / "log.mcap", folder, LOOKS, choice=Choice(rate=rate))
+        assert [episode["vantage/game"] for episode in episodes_of(folder)] == numbers
+        assert any(left_out in line for line in done.said)
+    one = export_to("lerobot", tmp_path / "log.mcap", tmp_path / "one", LOOKS, episode=2)
+    assert one.said and [episode["vantage/game"] for episode in episodes_of(tmp_path / "one")] == [2]
+
+
 def test_a_robot_that_was_late_stayed(tmp_path: Path) -> None:
     messages = []
     for key, message in game(1, 5):

@@ -16,7 +16,7 @@ import pytest
 
 from learning.collect import CollectSettings, play_block
 from learning.hiders.table import HIDERS
-from schemas import Command, Rules
+from schemas import Command
 from vantage import cli
 from vantage.log import read
 from vantage.world.layout import make_layout
@@ -171,7 +171,7 @@ def test_the_layout(tmp_path: Path) -> None:
     path.write_text(text)
     boxes = make_layout(str(path), seed=1)
     assert len(boxes) == 3
-    settings = CollectSettings(episodes=1, hider="goal-walk", rules=Rules(maximum_steps=5, catching=False, layout=str(path)))
+    settings = CollectSettings(games=1, hider="goal-walk", steps=5, catching=False, layout=str(path))
     assert play_block(settings, range(1, 2), tmp_path / "game.mcap") == 5
 
 
@@ -190,7 +190,7 @@ def test_the_hider_policy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> No
         monkeypatch.setitem(sys.modules, name, loaded)
         spec.loader.exec_module(loaded)
     monkeypatch.setitem(HIDERS, "turner", loaded.HIDERS["turner"])
-    settings = CollectSettings(episodes=2, hider="turner", rules=Rules(maximum_steps=8, catching=False))
+    settings = CollectSettings(games=2, hider="turner", steps=8, catching=False)
     play_block(settings, range(1, 3), tmp_path / "game.mcap")
     played: dict[int, set[str]] = {}
     for record in read(tmp_path / "game.mcap", topics=("hider/command",)):

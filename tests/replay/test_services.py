@@ -8,7 +8,7 @@ from random import Random
 import pytest
 
 from learning.collect import CollectSettings, play_block
-from schemas import Command, Episode, Rules
+from schemas import Command, Episode
 from services.console.core import ConsoleCore
 from services.console.events import PAGE, PageEvent
 from services.seeker.core import SeekerCore
@@ -22,7 +22,7 @@ from vantage.service import Arrived, Captured, Publish, Received, Unexpected, Wo
 
 def test_the_seeker_joins_an_earlier_game_and_says_again_what_was_recorded(tmp_path: Path) -> None:
     path = tmp_path / "games.mcap"
-    play_block(CollectSettings(hider="random", rules=Rules(maximum_steps=8, catching=False)), range(1, 3), path)
+    play_block(CollectSettings(hider="random", steps=8, catching=False), range(1, 3), path)
     recording = Recording(path)
     assert len(recording.games) == 2
     core, now, unexpected = SeekerCore(), 0, 0

@@ -122,7 +122,7 @@ def test_a_game_of_another_hider_leaves_nothing_in_the_planner(tmp_path: Path) -
     """Its own next game is played as if there had been no other."""
     from learning.collect import CollectSettings, play_block
 
-    play_block(CollectSettings(hider="random", rules=Rules(maximum_steps=100, catching=False)), range(1, 2), tmp_path / "log")
+    play_block(CollectSettings(hider="random", steps=100, catching=False), range(1, 2), tmp_path / "log")
     planner = PlannerCore()
     for record in read(tmp_path / "log"):
         message = record.decode()

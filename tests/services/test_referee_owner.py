@@ -130,6 +130,7 @@ def test_wishes_without_a_request_are_all_played() -> None:
     table = Table()
     table.arrive()
     assert len(table.ask("start")) == 1
+    table.now += SECOND
     assert len(table.ask("start")) == 2
 
 

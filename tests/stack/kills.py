@@ -129,7 +129,9 @@ class Campaign:
         outcome = self.table.command("down")
         if outcome.returncode:
             self.violations.append(f"`vantage down` ends with {outcome.returncode}: {outcome.stderr}")
-        self._judge_processes("the end", {})
+        self._judge_processes("the end")
+        for orphan in self._processes():
+            orphan.kill()
         self._judge_logs()
 
     def _draw(self, number: int) -> Fault:
@@ -161,7 +163,7 @@ class Campaign:
             return
         self._wait_until_healthy(fault, since, killed)
         self._wait_for_a_step(str(fault))
-        self._judge_processes(str(fault), killed)
+        self._judge_processes(str(fault))
 
     def _up_again(self, fault: Fault) -> None:
         """Do what a person does once supervisord is dead."""
@@ -258,7 +260,7 @@ class Campaign:
             except (psutil.NoSuchProcess, psutil.AccessDenied):
                 continue
 
-    def _judge_processes(self, what: str, killed: dict[str, int]) -> None:
+    def _judge_processes(self, what: str) -> None:
         expected = {pid for pid in self._pids().values() if pid}
         orphans = {process.pid: process.cmdline()[:3] for process in self._processes() if process.pid not in expected}
         if orphans:

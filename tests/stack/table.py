@@ -17,7 +17,7 @@ from pathlib import Path
 from schemas import Control, Health, Players, Rules
 from vantage.bus import Sample
 from vantage.bus.zenoh_bus import ZenohBus
-from vantage.deployment import Deployment
+from vantage.deployment import Deployment, DeploymentError
 from vantage.match import Match
 from vantage.watch import HealthWatch, Verdict
 
@@ -56,7 +56,14 @@ class Table:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.deployment.stop()
+        deadline = time.monotonic() + PATIENCE
+        while True:
+            try:
+                self.deployment.stop()
+                break
+            except DeploymentError:  # it waits for 20 s, which a busy machine may exceed
+                if time.monotonic() > deadline:
+                    raise
         if not self._is_kept:
             shutil.rmtree(self.home, ignore_errors=True)
 

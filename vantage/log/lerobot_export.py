@@ -19,6 +19,7 @@ from vantage.log.lerobot_writer import DatasetWriter
 from vantage.log.outline import GameOutline, outline, steps_of
 from vantage.log.reader import Log, open_log
 from vantage.log.target import ExportError, Progress, in_silence, optional, whole
+from vantage.log.words import counted
 
 _KEYS = tuple(f"{robot}/{part}" for robot in ROBOTS for part in ("pose", "depth", "color", "command"))
 _VIEWS = tuple(f"{robot}/view" for robot in ROBOTS)
@@ -60,7 +61,7 @@ def write_dataset(
 
     Raises:
         NoSuchGame: there is no game of that number, or several.
-        ExportError: nothing to write, or pictures of several sizes; the text says what to do.
+        ExportError: nothing to write, or pictures of several sizes or games of several rates; the text says what to do.
         OSError: the disk.
     """
     optional("pyarrow", "pyarrow")
@@ -83,6 +84,7 @@ def write_dataset(
                 else:
                     good.append(game)
             chosen.append((parts, good))
+        require_one_rate([(parts[0].stem, game) for parts, good in chosen for game in good], len(logs))
         summary.left_out = [_line(reason, games) for reason, games in reasons.items()]
         if not any(good for _, good in chosen):
             raise ExportError("; ".join(["no finished game to export", *summary.left_out]))
@@ -108,12 +110,38 @@ def why_left_out(game: GameOutline, choice: form.Choice) -> str:
         return reason
     if not game.episode.rules.catching and not choice.without_catching:
         return "without catching, see --without-catching"
+    if choice.rate is not None and abs(rate_of(game) - choice.rate) > 0.01 * choice.rate:
+        return f"of another rate than {choice.rate:g} Hz"
     if game.steps == 0:
         return "over before the first step"
     for robot in ROBOTS:
         if not all(game.has_step(f"{robot}/command", step) or game.stayed(robot, step) for step in range(game.steps)):
             return "with messages missing"
     return ""
+
+
+def rate_of(game: GameOutline) -> float:
+    """Return the steps per second of a game; 0 where it was played as fast as the players answered."""
+    period = game.episode.rules.step_period
+    return 1 / period if period else 0.0
+
+
+def require_one_rate(games: Sequence[tuple[str, GameOutline]], logs: int) -> None:
+    """Check that games have one rate, as a LeRobot data set does.
+
+    Args:
+        games: (name of the log, game).
+        logs: how many there are; with one, its name is left out.
+
+    Raises:
+        ExportError: they have several; the text names the games of each.
+    """
+    by_rate: dict[float, list[str]] = {}
+    for log, game in games:
+        by_rate.setdefault(round(rate_of(game), 3), []).append(f"{game.number}" if logs == 1 else f"{log}:{game.number}")
+    if len(by_rate) > 1:
+        found = "; ".join(f"{rate:g} Hz: {_some(names)}" for rate, names in sorted(by_rate.items()))
+        raise ExportError(f"the games have several rates, and a data set has one ({found}): choose with --rate, or one --game")
 
 
 def _views_of(choice: form.Choice) -> list[str]:
@@ -130,8 +158,11 @@ def is_dataset(folder: Path) -> bool:
 
 
 def _line(reason: str, games: list[str]) -> str:
-    names = ", ".join(games[:10]) + (", ..." if len(games) > 10 else "")
-    return f"left out: {len(games)} {'game' if len(games) == 1 else 'games'} {reason} ({names})"
+    return f"left out: {counted(len(games), 'game')} {reason} ({_some(games)})"
+
+
+def _some(games: list[str]) -> str:
+    return ", ".join(games[:10]) + (", ..." if len(games) > 10 else "")
 
 
 def _part_of(progress: Progress, number: int, count: int) -> Progress:

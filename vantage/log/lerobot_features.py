@@ -46,10 +46,12 @@ class Choice:
     Attributes:
         seeker_pictures: what the seeker sees.
         without_catching: games whose rules ignore catches.
+        rate: only games of this rate, steps per second (0: as fast as the players answered); None = all, if they have one rate.
     """
 
     seeker_pictures: bool = False
     without_catching: bool = False
+    rate: float | None = None
 
 
 PLAIN = Choice()

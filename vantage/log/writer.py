@@ -211,11 +211,12 @@ class LogWriter:
         failed_before, self._failed = self._failed, False
         self._try_open()
         self._write_chunks(self._part)
+        wrote = self._wrote  # messages; a note may fit where they do not
         if not self._failed:
             for (key, publisher), missed in self._losses.notes_due():
                 self._put_note(key, publisher, missed)
             self._write_chunks(self._part)
-        if self._wrote and not (self._failed or failed_before):
+        if wrote and not (self._failed or failed_before):
             self.error = None
         self._failed = self._wrote = False
         if self._sync and self._part.is_open and self._synced != (self._part, self._part.size):
@@ -321,8 +322,6 @@ class LogWriter:
             self._open(self._part)
         except OSError as error:
             self._fail(self._part, error)
-        else:
-            self._wrote = True
 
     def _put_note(self, key: str, publisher: str, missed: int, log_time: int = 0) -> None:
         self._last_time = log_time = max(log_time, self._last_time + 1)
@@ -364,13 +363,12 @@ class LogWriter:
         if not self._keep_going:
             raise FileNotFoundError(errno.ENOENT, f"the file was {how} while it was being written", str(before.path))
         self._write_chunks(before)
-        count = before.message_count
+        lost = ""
         if how == "deleted":
-            self._losses.drop(before.counts)
+            lost = f" with {counted(self._losses.drop(before.counts), 'message')}"
             self._losses.part_lost()
         gaps = self._losses.take_delivered()
         self._begin(self._next_part())
-        lost = f" with {counted(count, 'message')}" if how == "deleted" else ""
         self.displaced = f"{before.path} was {how}{lost} while it was being written; the log goes on in {self._part.path.name}"
         if how == "moved":
             self._finish(before, gaps)

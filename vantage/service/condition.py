@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+from collections import deque
 from dataclasses import dataclass
 
 from schemas import TOPICS, Health, InputHealth, MalformedMessage
@@ -26,8 +27,8 @@ TOO_SLOW = "this machine is too slow"
 """With this the reason begins where a service cannot keep its times for want of cores; others then wait longer for it."""
 LATEST = SECOND // 2
 """ns by which a service may be woken late before the machine is too slow."""
-LATE_LASTS = 10 * SECOND
-"""ns that health repeats that the machine was too slow."""
+LATE_OVER, LATE_TIMES = 10 * SECOND, 3
+"""ns within which it must have been woken late so often: one delay is a process that was stopped, or a machine that slept."""
 
 MOST_INPUTS = 200
 """Keys that health tells apart; a raw service counts further ones together, as `**`."""
@@ -72,8 +73,7 @@ class Condition:
         self._logged_at: int | None = None
         self._unlogged = 0
         self._flowing_since: int | None = None
-        self._late = 0  # ns, the worst of late
-        self._late_at = 0
+        self._delays: deque[tuple[int, int]] = deque(maxlen=64)  # when it was woken late, and how late, ns
         self._started = now
 
     def counts_of(self, key: str, publisher: str = "") -> InputCounts:
@@ -114,8 +114,8 @@ class Condition:
 
     def woken(self, late: int, now: int) -> None:
         """The service got a core `late` ns after it wanted one (below 0: it was in time)."""
-        if late > LATEST and (late > self._late or now - self._late_at > LATE_LASTS):
-            self._late, self._late_at = late, now
+        if late > LATEST:
+            self._delays.append((now, late))
 
     def hears_of(self, name: str, alive: bool) -> bool:
         """A service came or went; return whether that is news."""
@@ -142,8 +142,10 @@ class Condition:
             for names in sorted(declaration.heeds)
             if not any(self._alive.get(name, False) for name in names.split("|"))
         ]
-        if self._late and now - self._late_at < LATE_LASTS:
-            troubles.append(f"{TOO_SLOW}: {declaration.name} ran {self._late / SECOND:.1f} s late")
+        delays = [late for at, late in self._delays if now - at < LATE_OVER]
+        if len(delays) >= LATE_TIMES:
+            worst = f"{max(delays) / SECOND:.1f} s late {len(delays)} times in {LATE_OVER // SECOND} s"
+            troubles.append(f"{TOO_SLOW}: {declaration.name} ran up to {worst}")
         if own := getattr(self._core, "trouble", ""):
             troubles.append(own)
         if any(TOO_SLOW in trouble for trouble in troubles):

@@ -73,6 +73,7 @@ class Runtime:
     def __post_init__(self) -> None:
         declaration = self.core.declaration
         self._raw = declaration.raw
+        self._held_up = getattr(self.core, "held_up", None)
         self._outputs = frozenset(declaration.outputs)
         self._heeds = frozenset(declaration.participants)
         self._devices = {device.name: device for device in self.devices}
@@ -110,7 +111,8 @@ class Runtime:
         due = now + round(timeout * SECOND)
         event = self.bus.receive(timeout)
         back = self.clock()
-        self._condition.woken(late=back - due, now=back)
+        if self._held_up is None:
+            self._condition.woken(late=back - due, now=back)
         self._due_back = min(due, back)
         if event is None:
             return False
@@ -120,10 +122,9 @@ class Runtime:
     def _note_delay(self, now: int) -> None:
         """Let the core know for how long it could not look: neither the machine nor its own work let it."""
         due, self._due_back = self._due_back, None
-        held_up = getattr(self.core, "held_up", None)
-        if held_up is not None and due is not None and now - due > HELD_UP:
+        if self._held_up is not None and due is not None and now - due > HELD_UP:
             self._condition.woken(late=now - due, now=now)
-            held_up(now - due, now)
+            self._held_up(now - due, now)
 
     def drain(self) -> bool:
         """Handle everything that waits, without waiting. Returns whether there was anything."""
