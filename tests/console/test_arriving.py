@@ -89,7 +89,7 @@ def test_a_page_takes_no_other_deployment_for_its_own(home: Path, browser: Brows
         page.offline = True
     with console_alone(home / "other", urlsplit(address).port or 0) as other:
         page.until("!document.getElementById('banner').hidden")
-        page.until("document.getElementById('banner').textContent.includes('Open the address with #token=')", 30.0)
+        page.until("document.getElementById('banner').textContent.includes('Open the address with #token=')")
         assert not page.get("vantage.state.connected")
         page.offline = False
         page.address = other

@@ -203,7 +203,7 @@ def test_between_games_a_series_goes_on_or_is_stopped(page: ConsolePage) -> None
 
 CROWD = """(() => {
   others = others.filter((socket) => socket.readyState <= WebSocket.OPEN);
-  while (others.length < 32) others.push(new WebSocket(sockets[0].url, ['vantage']));
+  while (others.length < 32) others.push(new WebSocket(sockets[0].url, ['vantage', sessionStorage.getItem('token')]));
   // The page's own is the one that takes its messages as buffers.
   if (vantage.state.connected) sockets.filter((socket) => socket.binaryType === 'arraybuffer').at(-1).close();
 })()"""
