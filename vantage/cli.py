@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vantage.errors import explain
+from vantage.printable import printable
 from vantage.stopping import follow_parent, run_stoppable
 
 
@@ -234,7 +235,8 @@ def _run_explained(command: Command, arguments: Sequence[str]) -> int:
         line = explain(error)
         if line is None:
             raise
-        print(f"vantage {command.words}: {line}", file=sys.stderr)
+        # Lines may name files and quote strangers.
+        print("\n".join(printable(part) for part in f"vantage {command.words}: {line}".splitlines()), file=sys.stderr)
         return 1
 
 

@@ -353,7 +353,7 @@ def _check_recordings(folder: Path) -> None:
         DeploymentError: that is impossible; the text has the reason.
     """
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(0o750, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
             probe.write(bytes(65536))
             probe.flush()
