@@ -130,6 +130,7 @@ class ConsolePage:
         if self.get(ON):
             return
         before = self.get(GAME)
+        self.get("document.activeElement?.blur()")  # in a field, a key is a letter
         self.press("g")
         self.until(f"{GAME} > {before} || document.querySelector('#notices p')")  # refused: the page says so, once more
         if self.get(f"{GAME} === {before}"):
