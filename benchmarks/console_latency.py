@@ -96,7 +96,7 @@ def console(folder: Path) -> Iterator[Target]:
             if time.monotonic() > end or running.poll() is not None:
                 raise RuntimeError(f"the console gives no address: {log.read_text()[-2000:]}")
             time.sleep(0.02)
-        yield Target("127.0.0.1", int(address.read_text().strip().rstrip("/").rpartition(":")[2]))
+        yield Target.at(address.read_text().strip())
     finally:
         running.terminate()
         running.wait(10.0)
@@ -192,7 +192,7 @@ def processes_of(browser_name: str) -> list[psutil.Process]:
 def second_part(settings: Settings) -> int:
     with Arena(period=0.1, host="127.0.0.1", camera=Camera(width=320, height=240)) as arena, chromium() as browser:
         page = browser.new_page(viewport={"width": 1440, "height": 900})
-        page.goto(f"http://{arena.target.name}/")
+        page.goto(f"http://{arena.target.name}/#token={arena.target.token}")
         page.wait_for_function("() => window.vantage.painted.length > 50")
         page.wait_for_timeout(2000)
         arena.bus_ticks.begin()

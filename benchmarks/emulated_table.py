@@ -36,6 +36,10 @@ class TrackerSettings:
     """rad, standard deviation of a tracked heading"""
     missed: float = 0.01
     """share of the frames in which a robot is not seen"""
+    clock: float = 0.0
+    """s by which the camera's clock is ahead of the driver's"""
+    transport: float = 0.002
+    """s of the latency that pass after the track was published"""
 
 
 class EmulatedTable:
@@ -46,6 +50,7 @@ class EmulatedTable:
         bodies, firmwares: of hider and seeker, by name.
         motions: what the driver has reported, in order.
         silent: robots that the camera does not see now.
+        clock: ns by which the camera's clock is ahead of the driver's; may be changed, as by somebody who sets it.
         unexpected: messages that the driver set aside.
     """
 
@@ -73,6 +78,7 @@ class EmulatedTable:
         self.core = RobotCore(self.settings)
         self.motions: list[tuple[str, Motion]] = []
         self.silent: set[str] = set()
+        self.clock = int(self.tracker.clock * SECOND)
         self.unexpected = 0
         self._generator = np.random.default_rng((seed, 7))
         self._frame = 0
@@ -125,7 +131,8 @@ class EmulatedTable:
         self._look()
         while self._coming and self._coming[0][0] <= self.now:
             _, robot, track = self._coming.popleft()
-            self.give(Arrived(f"{robot}/track", track))
+            published = track.stamp + int((self.tracker.latency - self.tracker.transport) * SECOND)
+            self.give(Arrived(f"{robot}/track", track, published))
         wake = self.core.wake_at()
         if wake is not None and wake <= self.now:
             self.give(Woken())
@@ -143,7 +150,7 @@ class EmulatedTable:
             if missed or robot in self.silent:
                 continue
             track = Track(
-                stamp=self.now,
+                stamp=self.now + self.clock,
                 x=float(x + self.tracker.distance_noise * noise[0]),
                 y=float(y + self.tracker.distance_noise * noise[1]),
                 heading=math.remainder(heading + self.tracker.heading_noise * noise[2], math.tau),

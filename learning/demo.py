@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 import time
+import uuid
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from msgspec.structs import replace
 from rich.console import Console
 
 from learning.picture import VIEW_INTERVAL, Game, draw, read_game
-from schemas import Control, Episode, Message, Plan, Players, PredictReply, PredictRequest, Rules, StateImage, Tick
+from schemas import Control, Episode, Message, Plan, Players, PredictReply, PredictRequest, StateImage, Tick
 from vantage.bus import Bus, Reply, Sample
 from vantage.deployment import Deployment, DeploymentError
-from vantage.play import SeekerPreset, wish
+from vantage.match import SeekerPreset, wish
 from vantage.watch import HealthWatch
+from vantage.world.arena import goal_name
 
 console = Console(highlight=False)
 
@@ -53,8 +56,7 @@ def main(settings: DemoSettings) -> int:
     from vantage.bus.zenoh_bus import ZenohBus
 
     started = time.monotonic()
-    rules = Rules(maximum_steps=settings.steps, layout=settings.layout, step_period=settings.period)
-    ask = wish(settings.seed, 1, rules, Players(seeker=settings.seeker))
+    ask = wish(settings.seed, 1, settings.steps, settings.period, settings.layout, Players(seeker=settings.seeker))
     deployment = Deployment("simulation", settings.folder)
     before = set(settings.to.glob("*.mcap"))
     console.print("1/5 starting the services ...")
@@ -105,6 +107,7 @@ def _wait_until_healthy(deployment: Deployment) -> int:
 
 def _play(bus: Bus, ask: Control, started: float) -> Episode:
     """Ask for one game, tell how it goes, ask for the predicted views of the chosen plan. Returns the game's last word."""
+    ask = replace(ask, stamp=time.time_ns(), request=uuid.uuid4().hex)
     bus.subscribe("episode", "tick", "hider/plan", "hider/view")
     rules = ask.rules
     deadline = time.monotonic() + _PATIENCE
@@ -127,6 +130,8 @@ def _play(bus: Bus, ask: Control, started: float) -> Episode:
         deadline = time.monotonic() + _PATIENCE
         message: Message = event.decode()
         if isinstance(message, Episode):
+            if message.request != ask.request:
+                continue
             if message.phase == "running":
                 console.print(f"2/5 game {message.episode} begins, seed {message.seed}, layout {rules.layout}")
             elif message.phase in ("ended", "aborted"):
@@ -139,7 +144,7 @@ def _play(bus: Bus, ask: Control, started: float) -> Episode:
             open_goals = sum(value is not None for value in plan.values)
             console.print(
                 f"3/5 the hider has painted its value map in {plan.elapsed:.2f} s: {open_goals} open goals, "
-                f"it chooses goal {plan.goal}"
+                f"it chooses {'no goal' if plan.goal is None else goal_name(plan.goal)}"
             )
         elif isinstance(message, Tick):
             if message.step == 0:

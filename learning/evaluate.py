@@ -19,12 +19,14 @@ from learning.accuracy.report import CLOCK, MAJORITY, ORACLE, VIEW_ORACLE, judge
 from learning.dataset import DEFAULT_DATASET, Dataset, Samples
 from learning.methods.machine import Machine
 from learning.methods.method import Method
-from learning.methods.table import ABLATIONS, METHODS, load_methods
+from learning.methods.table import ABLATIONS, METHODS, load_trainings
+from learning.methods.trainings import weights_folder
 from learning.methods.views import judge_true_views
 from learning.provenance import provenance
 from vantage.errors import UserError
 from vantage.networks.vpn import Vpn
 from vantage.networks.weights import ModelCard, load
+from vantage.output import write_complete
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,9 @@ class EvaluateSettings:
 
     data: Path = DEFAULT_DATASET
     """The training set; its test episodes are judged, its training episodes tell what the horizon alone is worth."""
-    weights: Path = Path("weights")
-    """Folder with the weights; methods whose weights are not there are left out."""
+    weights: Path | None = None
+    """Folder with the weights; if not said, runs/ where a training has left some, else the released ones. Methods whose weights
+    are not there are left out. A method trained with several seeds (NAME-seed1.safetensors, ...) is judged with each of them."""
     methods: tuple[str, ...] = tuple(name for name in METHODS if name not in ABLATIONS)
     """Which methods: rows of the method table."""
     samples: tuple[int, ...] = (1000,)
@@ -53,8 +56,8 @@ class EvaluateSettings:
     """The oracles judge the first so many examples of each set."""
     ablations: bool = False
     """Also VPN on true views, and the VPN that learnt from true views (vpn-on-true.safetensors) on predictions."""
-    to: Path | None = Path("runs/evaluation")
-    """Write the results to this path, as .json and .md."""
+    to: Path | None = Path("runs/accuracy")
+    """Write the results to this path, as .json and .md. Results that are there are replaced."""
     threads: int = 0
     """CPU threads; 0 = all cores."""
     seed: int = 1
@@ -70,13 +73,15 @@ def main(settings: EvaluateSettings) -> int:
     check(settings)
     data, machine, console = Dataset(settings.data), Machine.fastest(settings.threads), Console(stderr=True)
     wanted = dict.fromkeys((*settings.methods, *(ABLATIONS if settings.ablations else ())))
-    methods, left_out = load_methods((name for name in METHODS if name in wanted), settings.weights, machine)
+    folder = weights_folder(settings.weights)
+    methods, left_out = load_trainings((name for name in METHODS if name in wanted), folder, machine)
     for line in left_out:
         print(line, file=sys.stderr)
     if not methods:
-        print(f"no method has its weights in {settings.weights}", file=sys.stderr)
-        return 2
-    warnings = warnings_of(methods, data)
+        raise UnusableSettings(f"no method has its weights in {folder}: choose another --weights")
+    if settings.weights is None:
+        print(f"weights in {folder}", file=sys.stderr)
+    warnings = warnings_of([method for trained in methods.values() for method in trained], data)
     results: list[dict[str, Any]] = []
     for start in settings.starts:
         for limit in settings.horizons:
@@ -84,7 +89,7 @@ def main(settings: EvaluateSettings) -> int:
             logits, clock_step = blind(data, examples, start, limit, settings.seed)
             logits |= judge_all(methods, data, examples, console)
             if settings.ablations:
-                logits |= on_true_views(settings.weights, data, examples, machine)
+                logits |= on_true_views(folder, data, examples, machine)
             if settings.oracle:
                 asked = examples.part(0, min(settings.oracle_samples, len(examples)))
                 try:
@@ -105,9 +110,8 @@ def main(settings: EvaluateSettings) -> int:
         print(f"warning: {line}", file=sys.stderr)
     if settings.to:
         page, table = settings.to.with_name(settings.to.name + ".md"), settings.to.with_name(settings.to.name + ".json")
-        settings.to.parent.mkdir(parents=True, exist_ok=True)
-        table.write_text(json.dumps(report, indent=2, allow_nan=False) + "\n")
-        page.write_text(page_of(report))
+        write_complete(table, json.dumps(report, indent=2, allow_nan=False) + "\n")
+        write_complete(page, page_of(report))
         print(f"results in {table} and {page}")
     return 0
 
@@ -132,15 +136,20 @@ def blind(data: Dataset, examples: Samples, start: Start, limit: int, seed: int)
     return {MAJORITY: constant, CLOCK: clock}, step
 
 
-def judge_all(methods: list[Method], data: Dataset, examples: Samples, console: Console) -> dict[str, NDArray[np.float32]]:
-    """Return the logits [B] of every method, by name."""
+def judge_all(
+    methods: dict[str, list[Method]], data: Dataset, examples: Samples, console: Console
+) -> dict[str, NDArray[np.float32]]:
+    """Return the logits of every method, by name: [B], or [seeds, B] of one that was trained with several seeds."""
     questions, found = data.questions(examples), {}
     with _progress(console) as progress:
-        task = progress.add_task("methods", total=len(methods))
-        for method in methods:
-            progress.update(task, description=method.name)
-            found[method.name] = method.judge(questions)
-            progress.advance(task)
+        task = progress.add_task("methods", total=sum(map(len, methods.values())))
+        for name, trained in methods.items():
+            progress.update(task, description=name)
+            answers = []
+            for method in trained:
+                answers.append(method.judge(questions))
+                progress.advance(task)
+            found[name] = answers[0] if len(answers) == 1 else np.stack(answers)
     return found
 
 
@@ -202,22 +211,25 @@ def warnings_of(methods: list[Method], data: Dataset) -> list[str]:
         files = list(method.cards)
         if (
             len(files) == 2
-            and files[1] != "vpn-on-true"
+            and not files[1].startswith("vpn-on-true")
             and method.cards[files[0]].sha256 not in method.cards[files[1]].inputs.values()
         ):
             lines.append(f"{method.name}: {files[1]} did not learn from what these {files[0]} weights predict")
-    samples = {method.name: seen(next(iter(method.cards.values())))["samples"] for method in methods}
+    samples: dict[str, Any] = {}
+    for method in methods:
+        samples.setdefault(method.name, seen(next(iter(method.cards.values())))["samples"])
     if len(set(samples.values())) > 1:
         lines.append("the networks saw different numbers of samples: " + ", ".join(f"{k} {v:,}" for k, v in samples.items() if v))
     return lines
 
 
 def seen(card: ModelCard) -> dict[str, Any]:
-    """Return what a network learnt from and how much of it: `sha256`, `preset`, `commit`, `data` (hash), `samples` (None for a
-    VPN), `images` (None for others)."""
+    """Return what a network learnt from and how much of it: `sha256`, `preset`, `seed`, `commit`, `data` (hash), `samples` (None
+    for a VPN), `images` (None for others)."""
     return {
         "sha256": card.sha256,
         "preset": card.preset,
+        "seed": card.training.get("seed"),
         "commit": card.commit,
         "data": str(card.data.get("hash", "")),
         "samples": card.training.get("samples"),
@@ -243,7 +255,7 @@ def result_of(
 def report_of(
     settings: EvaluateSettings,
     data: Dataset,
-    methods: list[Method],
+    methods: dict[str, list[Method]],
     left_out: list[str],
     warnings: list[str],
     results: list[dict[str, Any]],
@@ -256,12 +268,12 @@ def report_of(
         "data": {**{key: data.manifest[key] for key in kept}, "test episodes": len(data.of_split("test"))},
         "oracle simulations": settings.oracle,
         "methods": {
-            method.name: {
-                "description": METHODS[method.name].description,
-                "paper": METHODS[method.name].paper,
-                "weights": {file: seen(card) for file, card in method.cards.items()},
+            name: {
+                "description": METHODS[name].description,
+                "paper": METHODS[name].paper,
+                "weights": {file: seen(card) for method in trained for file, card in method.cards.items()},
             }
-            for method in methods
+            for name, trained in methods.items()
         },
         "left out": left_out,
         "warnings": warnings,

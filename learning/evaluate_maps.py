@@ -8,21 +8,30 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.markdown import Markdown
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
 from learning.methods.machine import Machine
-from learning.methods.table import METHODS, load_methods
+from learning.methods.table import METHODS, load_trainings
+from learning.methods.trainings import weights_folder
 from learning.provenance import provenance
 from learning.value_maps.judged import VALUES, maps_of, seconds_per_map
 from learning.value_maps.page import page_of
 from learning.value_maps.report import Maps, arrays, ground_truths, heuristic_maps, played, ranking
 from learning.value_maps.truth import Case, cases_of, seeds_of_test_split
 from schemas import Rules
+from services.planner.value_map import Value
+from vantage.errors import UserError
+from vantage.output import complete, write_complete
 from vantage.play import SeekerPreset
 
 TIMED_MAPS = 5
+
+
+class UnusableSettings(UserError, ValueError):
+    """What was asked for cannot be evaluated."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +41,9 @@ class EvaluateMapsSettings:
     Example: vantage evaluate maps --weights weights/ --methods vpt-tob --starts 50 --to runs/maps
     """
 
-    weights: Path = Path("weights")
-    """Folder with the networks."""
+    weights: Path | None = None
+    """Folder with the networks; if not said, runs/ where a training has left some, else the released ones. A method trained with
+    several seeds (NAME-seed1.safetensors, ...) is judged with each of them."""
     methods: tuple[str, ...] = ("vpt-tob",)
     """Which methods: rows of the method table."""
     starts: int = 50
@@ -52,23 +62,23 @@ class EvaluateMapsSettings:
     seed: int = 1
     """Draws the starts and the bootstrap."""
     to: Path = Path("runs/maps")
-    """Write the results to this path, as .json, .md and .npz."""
+    """Write the results to this path, as .json, .md and .npz. Results that are there are replaced."""
     threads: int = 0
     """Threads, for simulation and networks; 0 = all cores."""
 
 
 def main(settings: EvaluateMapsSettings) -> int:
     """Evaluate; returns the exit code."""
-    if wrong := mistake_in(settings):
-        print(wrong, file=sys.stderr)
-        return 2
-    methods, left_out = load_methods(settings.methods, settings.weights, Machine.fastest(settings.threads))
+    check(settings)
+    folder = weights_folder(settings.weights)
+    methods, left_out = load_trainings(settings.methods, folder, Machine.fastest(settings.threads))
     for line in left_out:
         print(line, file=sys.stderr)
     if not methods:
-        return 2
-    names = [method.name for method in methods]
-    against = settings.against if settings.against in names else names[0]
+        raise UnusableSettings(f"no method has its weights in {folder}: choose another --weights")
+    if settings.weights is None:
+        print(f"weights in {folder}", file=sys.stderr)
+    against = settings.against if settings.against in methods else next(iter(methods))
     rules = Rules(maximum_steps=max(settings.horizons), layout=settings.layout)
     seeds = seeds_of_test_split(settings.seed, settings.starts)
     horizons, cases = settings.horizons, list[Case]()
@@ -81,20 +91,26 @@ def main(settings: EvaluateMapsSettings) -> int:
                 cases.append(case)
             progress.advance(task)
         if not cases:
-            print("no start leaves the hider a goal it could drive to: take another layout", file=sys.stderr)
-            return 2
-        for method in methods:
-            task = progress.add_task(method.name, total=len(cases))
-            found = []
-            for case in cases:
-                found.append(maps_of(method, case, horizons))
-                progress.advance(task)
-            maps |= {f"{method.name}, {value}": np.stack([each[value] for each in found]) for value in VALUES}
+            raise UnusableSettings("no start leaves the hider a goal it could drive to: take another layout")
+        for name, trained in methods.items():
+            task = progress.add_task(name, total=len(cases) * len(trained))
+            found: list[list[dict[Value, NDArray[np.float64]]]] = []  # [seeds][starts]
+            for method in trained:
+                found.append([])
+                for case in cases:
+                    found[-1].append(maps_of(method, case, horizons))
+                    progress.advance(task)
+            for value in VALUES:
+                by_seed = np.stack([[each[value] for each in starts] for starts in found])
+                maps[f"{name}, {value}"] = by_seed if len(trained) > 1 else by_seed[0]
     maps |= heuristic_maps(cases, horizons)
     report = {
         "provenance": provenance(),
         "left out": left_out,
-        "weights": {method.name: {stem: card.sha256 for stem, card in method.cards.items()} for method in methods},
+        "weights": {
+            name: {stem: card.sha256 for method in trained for stem, card in method.cards.items()}
+            for name, trained in methods.items()
+        },
         "seed": settings.seed,
         "starts": [case.seed for case in cases],
         "seeker": settings.seeker,
@@ -109,28 +125,29 @@ def main(settings: EvaluateMapsSettings) -> int:
         "ranking": ranking(cases, horizons, maps, against, settings.seed),
         "ranking of free goals": ranking(cases, horizons, maps, against, settings.seed, free_only=True),
         "play": played(cases, horizons, maps, against, settings.seed),
-        "seconds per map": {method.name: seconds_per_map(method, cases[:TIMED_MAPS], horizons[0]) for method in methods},
+        "seconds per map": {
+            name: seconds_per_map(trained[0], cases[:TIMED_MAPS], horizons[0]) for name, trained in methods.items()
+        },
     }
-    settings.to.parent.mkdir(parents=True, exist_ok=True)
     page = page_of(report)
-    settings.to.with_suffix(".json").write_text(json.dumps(report, indent=2) + "\n")
-    settings.to.with_suffix(".md").write_text(page)
-    np.savez_compressed(settings.to.with_suffix(".npz"), **arrays(cases, horizons, maps))  # type: ignore[arg-type]
+    write_complete(settings.to.with_suffix(".json"), json.dumps(report, indent=2) + "\n")
+    write_complete(settings.to.with_suffix(".md"), page)
+    with complete(settings.to.with_suffix(".npz")) as partial:
+        np.savez_compressed(partial, **arrays(cases, horizons, maps))  # type: ignore[arg-type]
     Console().print(Markdown(page))
     print(f"results in {settings.to.with_suffix('.json')}, .md and .npz")
     return 0
 
 
-def mistake_in(settings: EvaluateMapsSettings) -> str:
-    """Return what is wrong with the settings; empty when nothing is."""
+def check(settings: EvaluateMapsSettings) -> None:
+    """Raise UnusableSettings with what people can do about it."""
     if unknown := [name for name in settings.methods if name not in METHODS]:
-        return f"there is no method {', '.join(unknown)}; the table has {', '.join(METHODS)}"
+        raise UnusableSettings(f"there is no method {', '.join(unknown)}; the table has {', '.join(METHODS)}")
     if not settings.methods:
-        return "--methods names no method"
+        raise UnusableSettings("--methods names no method")
     if settings.starts < 1:
-        return "--starts must be at least 1"
+        raise UnusableSettings("--starts must be at least 1")
     if settings.simulations < 2:
-        return "--simulations must be at least 2: the best goal is chosen on one half and scored on the other"
+        raise UnusableSettings("--simulations must be at least 2: the best goal is chosen on one half and scored on the other")
     if not settings.horizons or min(settings.horizons) < 10:
-        return "--horizons must name horizons of at least 10 steps, the interval of the checkpoints"
-    return ""
+        raise UnusableSettings("--horizons must name horizons of at least 10 steps, the interval of the checkpoints")

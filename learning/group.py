@@ -37,13 +37,13 @@ class Group:
             gradient.copy_(flat[at : at + gradient.numel()].view_as(gradient))
             at += gradient.numel()
 
-    def from_first(self, value: float) -> float:
-        """Return the value that process 0 has."""
+    def agree(self, progress: float, stop: bool) -> tuple[float, bool]:
+        """Return the progress that process 0 has, and whether any process was asked to stop: the same for all."""
         if self.size == 1:
-            return value
-        shared = torch.tensor([value], dtype=torch.float64, device=self.device)
-        distributed.broadcast(shared, 0)
-        return shared.item()
+            return progress, stop
+        shared = torch.tensor([progress if self.rank == 0 else 0.0, float(stop)], dtype=torch.float64, device=self.device)
+        distributed.all_reduce(shared)
+        return float(shared[0]), bool(shared[1] > 0)
 
     def leave(self) -> None:
         """The last call of a process."""

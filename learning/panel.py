@@ -10,6 +10,8 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from learning.dataset import Batch, Target
+from vantage.output import complete
+from vantage.perception.palette import view_for_people
 
 
 def draw_panel(path: Path, batch: Batch, views: NDArray[np.uint8], target: Target = "seeker", rows: int = 6) -> NDArray[np.uint8]:
@@ -26,7 +28,9 @@ def draw_panel(path: Path, batch: Batch, views: NDArray[np.uint8], target: Targe
     for row, line in enumerate(axes):
         inputs = batch.inputs[row]
         frequency, time = (np.where(inputs[..., k + 1] > 0, inputs[..., k], 255) for k in (3, 5))
-        for axis, picture in zip(line, (inputs[..., :3], frequency, time, views[row], batch.targets[row]), strict=True):
+        seen = view_for_people(inputs[..., :3], "hider")
+        predicted, true = (view_for_people(view, target) for view in (views[row], batch.targets[row]))
+        for axis, picture in zip(line, (seen, frequency, time, predicted, true), strict=True):
             axis.imshow(picture, cmap="gray", vmin=0, vmax=255, interpolation="nearest")
             axis.set_xticks([])
             axis.set_yticks([])
@@ -36,6 +40,6 @@ def draw_panel(path: Path, batch: Batch, views: NDArray[np.uint8], target: Targe
     for axis, title in zip(axes[0], ("I_H at t0", "F", "T", f"predicted {whose}", f"true {whose}"), strict=True):
         axis.set_title(title, fontsize=9)
     figure.tight_layout()
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    with complete(path) as partial:
+        figure.savefig(partial)
     return np.asarray(canvas.buffer_rgba())[..., :3].copy()

@@ -16,13 +16,14 @@ from matplotlib.patches import Circle, Rectangle
 from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
-from learning.figures.style import BOX, ROBOTS, SAFETY_MAP, of_the_seeker
+from learning.figures.style import BOX, DANGER_MAP, ROBOTS, view_legend
 from schemas import STATE_IMAGE_SIZE, Plan, Pose, PredictReply, PredictRequest
 from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, episodes
 from vantage.log.reader import read
-from vantage.perception.palette import PALETTE
+from vantage.output import complete
+from vantage.perception.palette import view_for_people, view_palette
 from vantage.perception.state_image import perceive
-from vantage.world.arena import ARENA_SIZE, GOALS, ROBOT_RADIUS
+from vantage.world.arena import ARENA_SIZE, GOALS, ROBOT_RADIUS, goal_name
 
 VIEW_INTERVAL = 20
 """Steps between the seeker views that are shown (paper, Fig. 4)."""
@@ -89,11 +90,11 @@ def draw(game: Game, path: Path) -> None:
         top, bottom = figure.add_subplot(strip[0, column]), figure.add_subplot(strip[1, column])
         if step in game.predicted:
             view, caught = game.predicted[step]
-            top.imshow(of_the_seeker(view), interpolation="nearest")
+            top.imshow(view_for_people(view, "seeker"), interpolation="nearest")
             top.set_title(f"step {step}: {caught:.0%} risk to be caught", fontsize=10)
         true, when = _true_view(log, step)
         if true is not None:
-            bottom.imshow(of_the_seeker(true), interpolation="nearest")
+            bottom.imshow(true, interpolation="nearest")
             bottom.set_title(when, fontsize=10)
         for axes in (top, bottom):
             axes.set_xticks([])
@@ -101,11 +102,10 @@ def draw(game: Game, path: Path) -> None:
         if column == 0:
             top.set_ylabel("predicted by the hider\nat its first look", fontsize=11)
             bottom.set_ylabel("true: what the\nseeker saw", fontsize=11)
-    seen = "seeker's views from above: white = it sees free floor, blue = it does not see"
-    meaning = f"{seen}, green = the hider, red = the seeker; a prediction blurs what is uncertain"
-    figure.text(0.045, 0.008, meaning, fontsize=10, color="0.35")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path)
+    figure.text(0.52, 0.008, "seeker's views from above; a prediction blurs what is uncertain", fontsize=10, color="0.35")
+    view_legend(figure, 0.045 * 13, 0.1)
+    with complete(path) as partial:
+        figure.savefig(partial)
 
 
 def draw_arena(axes: Axes, log: EpisodeLog) -> None:
@@ -124,13 +124,12 @@ def draw_arena(axes: Axes, log: EpisodeLog) -> None:
                 (track[0, 0], track[0, 1]), ROBOT_RADIUS, facecolor="none", edgecolor=color, linewidth=2, linestyle=":", zorder=5
             )
         )
-        axes.add_patch(
-            Circle((track[-1, 0], track[-1, 1]), ROBOT_RADIUS, facecolor=color, edgecolor="black", alpha=0.85, zorder=6)
-        )
+        axes.add_patch(Circle((track[-1, 0], track[-1, 1]), ROBOT_RADIUS, facecolor=color, edgecolor="black", zorder=6))
         x, y, heading = track[-1]
         tip = (x + ROBOT_RADIUS * math.cos(heading), y + ROBOT_RADIUS * math.sin(heading))
         axes.plot([x, tip[0]], [y, tip[1]], color="black", linewidth=2, zorder=7)
-        above = y < 0.15
+        other = _track(log.poses["seeker" if robot == "hider" else "hider"])
+        above = y < 0.15 or (len(other) > 0 and other[-1, 1] < y)  # beside the disc, not under the other one's
         place = (x, y + (ROBOT_RADIUS + 0.012) * (1 if above else -1))
         axes.annotate(robot, place, ha="center", va="bottom" if above else "top", fontsize=10, zorder=8)
     plan = _first_plan(log)
@@ -144,16 +143,14 @@ def draw_arena(axes: Axes, log: EpisodeLog) -> None:
 def draw_value_map(axes: Axes, log: EpisodeLog) -> None:
     """Draw the value map that the hider painted first, and the goal that it chose."""
     plan = _first_plan(log)
-    _frame(axes, "The hider's value map (blue = safe, red = dangerous)", log)
+    _frame(axes, "The hider's value map: danger of each goal", log)
     if plan is None or not plan.values:
         axes.text(0.6, 0.6, "no plan was recorded", ha="center")
         return
     checkpoint_count = plan.horizon // plan.checkpoint_interval
-    safety = np.array([np.nan if value is None else checkpoint_count - value for value in plan.values]).reshape(11, 11)
-    image = axes.imshow(
-        np.ma.masked_invalid(safety), origin="lower", extent=(0.05, 1.15, 0.05, 1.15), cmap=SAFETY_MAP, alpha=0.85, zorder=1
-    )
-    for goal in np.flatnonzero(np.isnan(safety.ravel())):
+    danger = np.array([np.nan if value is None else value for value in plan.values]).reshape(11, 11)
+    image = axes.imshow(np.ma.masked_invalid(danger), origin="lower", extent=(0.05, 1.15, 0.05, 1.15), cmap=DANGER_MAP, zorder=1)
+    for goal in np.flatnonzero(np.isnan(danger.ravel())):
         x, y = GOALS[goal]
         axes.plot(x, y, "x", color="0.35", markersize=9, zorder=3)
     if plan.goal is not None:
@@ -162,8 +159,9 @@ def draw_value_map(axes: Axes, log: EpisodeLog) -> None:
     if start is not None:
         axes.add_patch(Circle((start.x, start.y), ROBOT_RADIUS, facecolor=ROBOTS["hider"], edgecolor="black", zorder=5))
     bar = axes.figure.colorbar(image, ax=axes, fraction=0.046, pad=0.02)
-    bar.set_label(f"safety: checkpoints of {checkpoint_count} expected to be reached free", fontsize=10)
-    axes.set_xlabel("metres; star: chosen goal, disc: the hider, x: goal that looks blocked", fontsize=10)
+    bar.set_label(f"danger: caught at so many of {checkpoint_count} checkpoints (expected)", fontsize=10)
+    chosen = "no goal chosen" if plan.goal is None else f"star: the chosen {goal_name(plan.goal)}"
+    axes.set_xlabel(f"metres; {chosen}; disc: the hider; x: blocked", fontsize=10)
 
 
 def _frame(axes: Axes, title: str, log: EpisodeLog) -> None:
@@ -188,12 +186,12 @@ def _track(poses: dict[int, Pose]) -> NDArray[np.float64]:
 
 
 def _true_view(log: EpisodeLog, step: int) -> tuple[NDArray[np.uint8] | None, str]:
-    """Return the seeker's view at a step (RGB), or its last one where the game was over by then, and a caption."""
+    """Return the seeker's view at a step, as people see it, or its last one where the game was over by then, and a caption."""
     shown = min(step, log.steps)
     pose, depth, color = log.poses["seeker"].get(shown), log.depths["seeker"].get(shown), log.colors["seeker"].get(shown)
     if pose is None or depth is None or color is None:
         return None, ""
-    image = PALETTE[perceive(depth, color, pose, "seeker").image]
+    image = view_palette("seeker")[perceive(depth, color, pose, "seeker").image]
     caught = log.episode.caught_step is not None and step >= log.episode.caught_step
     return image, f"step {shown}: caught" if caught else f"step {shown}: free"
 

@@ -30,7 +30,8 @@ from vantage.log.reader import Record, find_logs, open_log, read
 from vantage.service import SECOND, Answered, Arrived, Ask, Changed, Core, Publish, Received, Unexpected, Woken
 from vantage.world.camera import Camera
 
-CLOCK_FIELDS = ("stamp", "elapsed")
+CLOCK_FIELDS = {"stamp": 0, "elapsed": 0, "request": ""}
+"""What differs from run to run, and its replacement: times, and the random name of a wish, which a log may begin after."""
 MOST_DIFFERENCES = 5
 LATEST = 10 * SECOND
 """No message takes longer than this to the recorder."""
@@ -155,9 +156,9 @@ def _simulator(contents: Contents) -> Core:
 
 
 def without_clock(message: Message) -> Message:
-    """Return the message with every stamp and time taken set to zero."""
+    """Return the message without what differs from run to run: stamps, times taken, and the name of the wish for a game."""
     names = {entry.name for entry in fields_of(message)}
-    return replace(message, **{name: 0 for name in CLOCK_FIELDS if name in names})
+    return replace(message, **{name: value for name, value in CLOCK_FIELDS.items() if name in names})
 
 
 MOST_HELD = 4096
@@ -176,14 +177,18 @@ class ProcessReplay:
         self._asked: list[tuple[Ask, Message]] = []
         self._answers: list[tuple[Message, Message]] = []
         self._requests: list[PredictRequest] = []
-        self._outputs = [key for key in core.declaration.outputs if not key.startswith("health/")]
+        # What a core hears as well comes from the log: the referee stops games by `control` when their owner leaves the bus, of
+        # which a log does not tell.
+        self._outputs = [
+            key for key in core.declaration.outputs if not key.startswith("health/") and key not in core.declaration.inputs
+        ]
         self._heeded = self._inputs | set(self._outputs) | {"predictor/request", "predictor/reply"}
         self._comparisons = {key: Comparison(key) for key in self._outputs}
         self._said: Counter[str] = Counter()
         self._recorded: Counter[str] = Counter()
         # (is it recorded, message) that the other side has not said yet; pictures are not kept longer than that.
         self._waiting: dict[str, deque[tuple[bool, Message]]] = {key: deque() for key in self._outputs}
-        for service in (name for names in core.declaration.heeds for name in names.split("|")):
+        for service in core.declaration.participants:
             self._step(Changed(service, True), 0)
 
     def feed(self, record: Record) -> None:

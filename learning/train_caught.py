@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -19,12 +19,13 @@ from learning.methods.survival import caught_logits
 from learning.recipe import CaughtModel, CaughtRecipe, caught_notes_of, caught_recipe, rate_factor
 from learning.tensors import in_unit_range, on_device
 from learning.trainer import GradientTrainer
-from learning.training_run import OtherTraining, TrainingRun, training_samples
-from learning.training_settings import TrainingSettings, given
+from learning.training_identity import identity_of
+from learning.training_run import TrainingRun, training_samples
+from learning.training_settings import Place, TrainingSettings, given, places_of
 from vantage.networks.coordinate_value import CoordinateValue, CoordinateValueSettings
 from vantage.networks.hazard import Hazard, HazardSettings, survival_loss
 from vantage.networks.hazard_attention import HazardAttention, HazardAttentionSettings
-from vantage.networks.weights import ModelCard, amend, save
+from vantage.networks.weights import ModelCard
 
 
 @dataclass(frozen=True)
@@ -111,51 +112,52 @@ class Trainer(GradientTrainer[Batch]):
 
 
 def main(settings: TrainCaughtSettings) -> int:
-    """Train; returns the exit code."""
-    group = join_group()
+    """Train, with one seed after the other; returns the exit code."""
+    places, group, data = places_of(settings, settings.model), join_group(), Dataset(settings.data)
     torch.set_num_threads(settings.threads_of(group))
-    recipe, data, model = resolve(settings), Dataset(settings.data), settings.model
+    for place in places:
+        train(settings, place, group, data)
+    group.leave()
+    return 0
+
+
+def train(settings: TrainCaughtSettings, place: Place, group: Group, data: Dataset) -> None:
+    """Train with one seed, or go on with it."""
+    recipe, model, seed = resolve(settings), settings.model, place.seed
     compiled, why = to_compile(settings.compile, group.device, recipe.samples, settings.minutes)
-    trainer = Trainer(model, recipe, group, compiled, settings.seed)
-    identity = {"model": model, "recipe": asdict(replace(recipe, samples=0)), "data": data.hash}
-    run = TrainingRun.of(settings, identity, group, recipe.samples)
-    run.introduce(settings, data, trainer.network, f"{trainer.precision}; {why}")
-    try:
-        if settings.resume and (saved := run.resume()):
-            trainer.restore(saved["trainer"])
-    except OtherTraining as error:
-        return run.refuse(error)
+    trainer = Trainer(model, recipe, group, compiled, seed)
+    plain = replace(recipe, samples=0)
+    identity = identity_of(settings, seed, group, data, plain, model=model, validation=settings.validation)
+    run = TrainingRun.of(settings, place, identity, group, recipe.samples)
+    run.introduce(f"{model} `{settings.preset}`", data, trainer.network, f"{trainer.precision}; {why}")
+    if saved := run.resume(settings.resume):
+        trainer.restore(saved["trainer"])
+    if run.is_over:
+        return
 
     held = data.draw("validation", settings.validation, np.random.default_rng(0), recipe.from_start, symmetries=1)
-    drawn = training_samples(data, recipe, settings.seed, run.batch_numbers(recipe.batch))
+    drawn = training_samples(data, recipe, seed, run.batch_numbers(recipe.batch))
 
-    def held_batches() -> Iterator[Batch]:
-        for first in range(0, len(held), 128):
-            yield render(trainer.network, data, held.part(first, first + 128))
+    def step() -> tuple[int, Tensor]:
+        return recipe.batch * group.size, trainer.learn(next(stream), rate_factor(recipe, run.progress))
+
+    def validate() -> dict[str, float]:
+        parts = (held.part(first, first + 128) for first in range(0, len(held), 128))
+        return trainer.validate(render(trainer.network, data, part) for part in run.interruptible(parts))
 
     def make_card() -> ModelCard:
-        seen = {"samples": run.seen, "best after": run.seen}
-        card = run.model_card(trainer.network, settings.preset, data, recipe, seen, settings.seed)
-        card.notes = caught_notes_of(model, recipe)
-        return card
+        return run.model_card(trainer.network, settings.preset, data, recipe, caught_notes_of(model, recipe))
 
     stream = prefetch(lambda: (render(trainer.network, data, samples) for samples in drawn))
-    run.begin()
-    while run.progress < 1.0:
-        loss = trainer.learn(next(stream), rate_factor(recipe, run.progress))
-        run.count(recipe.batch * group.size, loss)
-        if run.report_is_due:
-            measures = trainer.validate(held_batches())
-            if better := run.keep_if_best(measures):
-                save(trainer.network, settings.weights, make_card())
-            rate = recipe.rate * rate_factor(recipe, run.progress)
-            run.report(measures, better, {"training/rate": rate, "samples a second": run.speed})
-        if run.checkpoint_is_due:
-            run.write_checkpoint({"trainer": trainer.state()})
-    if group.rank == 0:
-        amend(settings.weights, samples=run.seen, minutes=run.trained / 60)
-    run.finish(settings.weights)
-    return 0
+    run.train(
+        step,
+        validate,
+        trainer.network,
+        make_card,
+        lambda: {"trainer": trainer.state()},
+        lambda: {"training/rate": recipe.rate * rate_factor(recipe, run.progress)},
+    )
+    run.finish()
 
 
 if __name__ == "__main__":  # for torchrun
@@ -163,4 +165,6 @@ if __name__ == "__main__":  # for torchrun
 
     import tyro
 
-    sys.exit(main(tyro.cli(TrainCaughtSettings)))
+    from vantage.stopping import run_stoppable
+
+    sys.exit(run_stoppable(lambda: main(tyro.cli(TrainCaughtSettings)), "train caught"))

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, replace
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -14,40 +14,37 @@ from numpy.typing import NDArray
 from torch import Tensor
 from torch.nn import functional
 
-from learning.dataset import DEFAULT_DATASET, Batch, Dataset, Samples, prefetch
+from learning.dataset import Batch, Dataset, Samples, prefetch
 from learning.group import Group, join_group
 from learning.measures import measures_of_logits
+from learning.methods.trainings import RELEASED, RUNS, files_of
 from learning.recipe import VPN_PRESETS, VpnRecipe, rate_factor, vpn_notes_of
 from learning.splits import Split
 from learning.tensors import in_unit_range, on_device, shown_to
 from learning.trainer import VIEW_ARCHITECTURES, GradientTrainer
-from learning.training_run import OtherTraining, TrainingRun, training_samples
-from learning.training_settings import given
-from vantage.cores import available_cores
+from learning.training_identity import identity_of
+from learning.training_run import TrainingRun, training_samples
+from learning.training_settings import Place, SharedSettings, UnusableTraining, given, of_seed, places_of
 from vantage.networks.inference import folded
 from vantage.networks.vector_action import VectorAction
 from vantage.networks.vpn import Vpn
 from vantage.networks.vpt_tob import ViewPredictor
-from vantage.networks.weights import ModelCard, fast_precision, load_any, save
+from vantage.networks.weights import ModelCard, fast_precision, load_any
 
 
 @dataclass(frozen=True)
-class TrainVpnSettings:
+class TrainVpnSettings(SharedSettings):
     """Learn to judge the views that a network predicts: is the hider caught?
 
     Example: vantage train vpn --data dataset/ --views weights/vpt-tob.safetensors --preset compact
     """
 
-    data: Path = DEFAULT_DATASET
-    """The training set."""
-    views: Path = Path("weights/vpt-tob.safetensors")
-    """Weights whose predictions it learns from: of any network that predicts a view."""
-    to: Path | None = None
-    """Where the weights go, in runs/ if not said; the model card lies beside them."""
+    views: Path | None = None
+    """Weights whose predictions it learns from, of any network that predicts a view; if not said, runs/vpt-tob.safetensors where
+    a training has left them, else the released ones. With several --seeds each learns from those of its own seed, where they lie
+    beside: vpt-tob-seed2.safetensors."""
     preset: Literal["paper", "compact"] = "paper"
     """`paper`: the paper's recipe. `compact`: a stream of fresh predictions, some minutes on a CPU core."""
-    minutes: float | None = None
-    """Train for this long instead of on a number of images."""
     images: int | None = None
     """Images to learn from, instead of the preset's number."""
     epochs: int | None = None
@@ -56,21 +53,10 @@ class TrainVpnSettings:
     """Channels of the first convolution, instead of the preset's."""
     rate: float | None = None
     """Learning rate, instead of the preset's."""
-    drop: float | None = None
-    """Factor of the learning rate at 20 % and 50 % (preset `paper`): 0.9, 0.5 and 0.1 are the readings of the paper."""
     on: Literal["predictions", "true"] | None = None
     """Learn from predicted or from true views, instead of what the preset says."""
-    workspace: Path | None = None
-    """Folder of the checkpoint and of the curves for TensorBoard; runs/NAME if not said, as the weights are named."""
-    resume: bool = True
-    """Go on from the checkpoint, if the workspace holds one."""
-    report_every: int = 16_384
-    """Images learnt from between validations."""
     validation: int | None = None
-    """Views of validation games that each of them looks at, instead of the preset's number."""
-    threads: int = 0
-    """CPU threads; 0 = all cores."""
-    seed: int = 1
+    """Views of validation games that each validation looks at, instead of the preset's number."""
 
 
 def resolve(settings: TrainVpnSettings) -> VpnRecipe:
@@ -162,8 +148,9 @@ class Trainer(GradientTrainer[Learnt]):
 
     network: Vpn
 
-    def __init__(self, recipe: VpnRecipe, group: Group) -> None:
+    def __init__(self, recipe: VpnRecipe, group: Group, seed: int) -> None:
         super().__init__(recipe, group, compiled=False)
+        torch.manual_seed(seed)
         self.network = Vpn(recipe.network).to(self.device, memory_format=torch.channels_last)  # type: ignore[call-overload]
         self.parameters = list(self.network.parameters())
         self.optimizer = torch.optim.Adam(self.parameters, recipe.rate, fused=True)
@@ -179,67 +166,90 @@ class Trainer(GradientTrainer[Learnt]):
         return functional.binary_cross_entropy_with_logits(forward(views), caught)
 
     @torch.inference_mode()
-    def validate(self, views: Tensor, caught: NDArray[np.bool_], size: int = 256) -> dict[str, float]:
-        """Return what can be said of views uint8 [N, 128, 128, 3], judged as in play."""
+    def validate(self, views: Iterable[Tensor], caught: NDArray[np.bool_]) -> dict[str, float]:
+        """Return the measures of views, judged as in play: parts uint8 [n, 128, 128, 3] of N in all."""
         self.network.eval()
-        parts = [self.network(in_unit_range(part, torch.float32)).cpu() for part in views.split(size)]
+        parts = [self.network(in_unit_range(part, torch.float32)).cpu() for part in views]
         self.network.train()
         scores = torch.cat(parts).numpy()
         return {**measures_of_logits(scores, caught), "majority class": float(max(caught.mean(), 1 - caught.mean()))}
 
 
+def name_of(views: Path) -> str:
+    """Return the name of the VPN that judges some weights' views: vpn for vpt-tob, hence vpn-seed2 for vpt-tob-seed2."""
+    stem, dash, seed = views.stem.partition("-seed")
+    return ("vpn" if stem == "vpt-tob" else f"{stem}-vpn") + dash + seed
+
+
+def default_views() -> Path:
+    """Return the weights of VPT-TOB whose predictions are learnt from where none are named."""
+    return (RUNS if files_of("vpt-tob", RUNS) else RELEASED) / "vpt-tob.safetensors"
+
+
+def views_of(settings: TrainVpnSettings, place: Place) -> Path:
+    """Return the weights whose predictions the VPN of a seed learns from."""
+    views = settings.views or default_views()
+    own = [of_seed(views, seed) for seed in settings.seeds]
+    there = [path.exists() for path in own]
+    if len(own) == 1 or not any(there):
+        return views
+    if not all(there):
+        raise UnusableTraining(f"no weights at {own[there.index(False)]}: there are some of another seed, so each needs its own")
+    return own[settings.seeds.index(place.seed)]
+
+
 def main(settings: TrainVpnSettings) -> int:
-    """Train; returns the exit code."""
-    torch.set_num_threads(settings.threads or available_cores())
-    torch.manual_seed(settings.seed)
-    group, data, recipe = join_group(), Dataset(settings.data), resolve(settings)
-    predictor, inputs, name = None, dict[str, str](), "true-vpn"
+    """Train, with one seed after the other; returns the exit code."""
+    recipe = resolve(settings)
+    places = places_of(settings, "true-vpn" if recipe.on == "true" else name_of(settings.views or default_views()))
+    group, data = join_group(), Dataset(settings.data)
+    torch.set_num_threads(settings.threads_of(group))
+    for place in places:
+        train(settings, recipe, place, group, data)
+    group.leave()
+    return 0
+
+
+def train(settings: TrainVpnSettings, recipe: VpnRecipe, place: Place, group: Group, data: Dataset) -> None:
+    """Train with one seed, or go on with it."""
+    predictor, inputs, seed, what = None, dict[str, str](), place.seed, "true views"
     if recipe.on == "predictions":
-        predictor, predictor_card = load_any(settings.views, VIEW_ARCHITECTURES)
-        inputs = {settings.views.name: predictor_card.sha256}
-        name = "vpn" if settings.views.stem == "vpt-tob" else f"{settings.views.stem}-vpn"
-    to = settings.to or Path("runs", f"{name}.safetensors")
-    workspace = settings.workspace or Path("runs", to.stem)
-    views = Views(data, predictor, group.device)
-    trainer = Trainer(recipe, group)
+        path = views_of(settings, place)
+        predictor, predictor_card = load_any(path, VIEW_ARCHITECTURES)
+        inputs, what = {path.name: predictor_card.sha256}, f"predictions of {path}"
+    trainer = Trainer(recipe, group, seed)
 
-    identity = {
-        "recipe": asdict(replace(recipe, images=0 if recipe.stream else recipe.images)),
-        "data": data.hash,
-        "views": inputs,
-    }
-    total = recipe.images * recipe.epochs
-    run = TrainingRun(workspace, identity, group, total, settings.minutes, settings.report_every, unit="images")
-    try:
-        if settings.resume and (saved := run.resume("recipe, training set or predictor")):
-            trainer.restore(saved)
-    except OtherTraining as error:
-        return run.refuse(error)
-
-    held_views, held_caught = views.gather("validation", recipe.held, recipe.from_start, settings.seed)
+    # Of a stream, the number of images is its length; a fixed set of another size is another set.
+    plain = replace(recipe, images=0 if recipe.stream else recipe.images)
+    identity = identity_of(settings, seed, group, data, plain, views=sorted(inputs.values()))
+    run = TrainingRun.of(settings, place, identity, group, recipe.images * recipe.epochs, unit="images")
     how = "a stream of" if recipe.stream else "a fixed set of"
-    what = "true views" if predictor is None else f"predictions of {settings.views}"
-    run.say(f"{how} {recipe.images:,} {what}, each {recipe.epochs} times; {len(held_caught):,} to validate")
-    run.say(f"caught in {held_caught.mean():.1%} of the views to validate")
+    run.introduce(
+        f"vpn `{settings.preset}`", data, trainer.network, f"{how} {recipe.images:,} {what}, each {recipe.epochs} times"
+    )
+    if saved := run.resume(settings.resume):
+        trainer.restore(saved)
+    if run.is_over:
+        return
+
+    views = Views(data, predictor, group.device)
+    held_views, held_caught = views.gather("validation", recipe.held, recipe.from_start, seed)
+    run.say(f"{len(held_caught):,} views to validate, the hider is caught in {held_caught.mean():.1%} of them")
+    stream = (streamed if recipe.stream else repeated)(views, recipe, seed, run.seen)
+    generator = np.random.default_rng([seed, run.seen, 2])
+
+    def step() -> tuple[int, Tensor]:
+        shown, caught = next(stream)
+        factor = rate_factor(recipe, run.progress)
+        return len(caught), trainer.learn((turned(shown, recipe.symmetries, generator), caught), factor)
 
     def make_card() -> ModelCard:
-        seen = {"images seen": run.seen}
-        card = run.model_card(trainer.network, settings.preset, data, recipe, seen, settings.seed)
-        card.notes, card.inputs = vpn_notes_of(recipe), inputs
+        card = run.model_card(trainer.network, settings.preset, data, recipe, vpn_notes_of(recipe))
+        card.inputs = inputs
         return card
 
-    stream = (streamed if recipe.stream else repeated)(views, recipe, settings.seed, run.seen)
-    generator = np.random.default_rng([settings.seed, run.seen, 2])
-    run.begin()
-    while run.progress < 1.0:
-        shown, caught = next(stream)
-        loss = trainer.learn((turned(shown, recipe.symmetries, generator), caught), rate_factor(recipe, run.progress))
-        run.count(len(caught), loss)
-        if run.report_is_due:
-            measures = trainer.validate(held_views, held_caught)
-            if better := run.keep_if_best(measures):
-                save(trainer.network, to, make_card())
-            run.write_checkpoint(trainer.state())
-            run.report(measures, better, pace=f"{run.minutes_left:4.1f} min left")
-    run.finish(to)
-    return 0
+    def validate() -> dict[str, float]:
+        return trainer.validate(run.interruptible(held_views.split(256)), held_caught)
+
+    run.train(step, validate, trainer.network, make_card, trainer.state)
+    run.finish()

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -13,14 +13,15 @@ import torch
 from learning.compiling import to_compile
 from learning.dataset import Dataset, prefetch
 from learning.device_loader import DeviceDataset, Resident, fits, needed_bytes
-from learning.group import join_group
+from learning.group import Group, join_group
 from learning.panel import draw_panel
 from learning.recipe import PRESETS, Recipe, notes_of, rate_factor
 from learning.tensors import Tensors, tensors_of
 from learning.trainer import Model, Trainer, target_of
-from learning.training_run import OtherTraining, TrainingRun, training_samples
-from learning.training_settings import TrainingSettings, given
-from vantage.networks.weights import ModelCard, amend, load_any, save
+from learning.training_identity import identity_of
+from learning.training_run import TrainingRun, training_samples
+from learning.training_settings import Place, TrainingSettings, UnusableTraining, given, places_of
+from vantage.networks.weights import ModelCard, load_any
 
 
 @dataclass(frozen=True)
@@ -43,8 +44,6 @@ class TrainVptTobSettings(TrainingSettings):
     """Weight of the judge's loss, instead of the preset's."""
     head_weight: float | None = None
     """Weight of the caught head's loss, instead of the preset's."""
-    workspace: Path | None = None
-    """Folder of the checkpoint, of the curves for TensorBoard and of pictures of predictions; runs/MODEL if not said."""
     resident: Resident = "auto"
     """Keep the training set in the device's memory and render there; `auto`: on a GPU that has twice that memory free."""
 
@@ -56,43 +55,46 @@ def resolve(settings: TrainVptTobSettings) -> Recipe:
     return replace(recipe, network=replace(recipe.network, caught_head=recipe.head_weight > 0))
 
 
-def settled(identity: dict[str, Any]) -> dict[str, Any]:
-    """Return the identity in a checkpoint; what an earlier version did not write was then as it is by default."""
-    return {"model": "vpt-tob", **identity, "recipe": {**asdict(Recipe()), **identity["recipe"]}}
-
-
 def main(settings: TrainVptTobSettings) -> int:
-    """Train; returns the exit code."""
-    group = join_group()
+    """Train, with one seed after the other; returns the exit code."""
+    places, group, data = places_of(settings, settings.model), join_group(), Dataset(settings.data)
     torch.set_num_threads(settings.threads_of(group))
-    recipe, data, model, target = resolve(settings), Dataset(settings.data), settings.model, target_of(settings.model)
-    compiled, why = to_compile(settings.compile, group.device, recipe.samples, settings.minutes)
-    trainer = Trainer(model, recipe, group, compiled, settings.seed)
-    identity = {"model": model, "recipe": asdict(replace(recipe, samples=0)), "data": data.hash}
-    run = TrainingRun.of(settings, identity, group, recipe.samples)
-    run.introduce(settings, data, trainer.network, f"{trainer.precision}; {why}")
-    resident = fits(data, group.device) if settings.resident == "auto" else settings.resident == "on"
-    if resident:
-        run.say(
-            f"the training set goes to the memory of {group.device} ({needed_bytes(data) / 1e9:.1f} GB) and is rendered there"
-        )
+    for place in places:
+        train(settings, place, group, data)
+    group.leave()
+    return 0
 
+
+def train(settings: TrainVptTobSettings, place: Place, group: Group, data: Dataset) -> None:
+    """Train with one seed, or go on with it."""
+    recipe, model, target = resolve(settings), settings.model, target_of(settings.model)
+    compiled, why = to_compile(settings.compile, group.device, recipe.samples, settings.minutes)
+    trainer = Trainer(model, recipe, group, compiled, place.seed)
     begun_with: dict[str, str] = {}
     if settings.start:
         earlier, earlier_card = load_any(settings.start, (model,))
         if earlier.settings != trainer.network.settings:
-            return run.refuse(f"{settings.start} holds another network than the preset `{settings.preset}`: {earlier.settings}")
+            raise UnusableTraining(
+                f"{settings.start} holds another network than the preset `{settings.preset}`: {earlier.settings}"
+            )
         trainer.network.load_state_dict(earlier.state_dict())
         begun_with = {settings.start.name: earlier_card.sha256}
-
-    try:
-        if settings.resume and (saved := run.resume(settled=settled)):
-            trainer.restore(saved["trainer"])
-    except OtherTraining as error:
-        return run.refuse(error)
+    plain, seed = replace(recipe, samples=0), place.seed
+    weights_in = sorted(begun_with.values())
+    identity = identity_of(settings, seed, group, data, plain, model=model, validation=settings.validation, start=weights_in)
+    run = TrainingRun.of(settings, place, identity, group, recipe.samples)
+    run.introduce(f"{model} `{settings.preset}`", data, trainer.network, f"{trainer.precision}; {why}")
+    if saved := run.resume(settings.resume):
+        trainer.restore(saved["trainer"])
+    if run.is_over:
+        return
+    resident = fits(data, group.device) if settings.resident == "auto" else settings.resident == "on"
+    if resident:
+        size = needed_bytes(data) / 1e9
+        run.say(f"the training set goes to the memory of {group.device} ({size:.1f} GB) and is rendered there")
 
     held = data.draw("validation", settings.validation, np.random.default_rng(0), recipe.from_start, symmetries=1)
-    drawn = training_samples(data, recipe, settings.seed, run.batch_numbers(recipe.batch))
+    drawn = training_samples(data, recipe, seed, run.batch_numbers(recipe.batch))
     vectors = model == "vector-action"
 
     def batches() -> Iterator[Tensors]:
@@ -105,33 +107,32 @@ def main(settings: TrainVptTobSettings) -> int:
             for batch in prefetch(lambda: (data.render(samples, target, vectors) for samples in drawn)):
                 yield tensors_of(batch, group.device)
 
+    def step() -> tuple[int, torch.Tensor]:
+        return recipe.batch * group.size, trainer.learn(next(stream), rate_factor(recipe, run.progress))
+
+    def validate() -> dict[str, float]:
+        measures, (batch, views) = trainer.validate(run.interruptible(data.batches(held, 64, target, vectors)))
+        run.show("predictions", draw_panel(place.workspace / "latest.png", batch, views, target))
+        return measures
+
     def make_card() -> ModelCard:
-        seen = {"samples": run.seen, "best after": run.seen}
-        card = run.model_card(trainer.network, settings.preset, data, recipe, seen, settings.seed)
+        card = run.model_card(trainer.network, settings.preset, data, recipe, notes_of(recipe))
         card.training["target"] = f"the {target}'s view"
-        card.notes, card.inputs = notes_of(recipe), begun_with
+        card.inputs = begun_with
         if target == "hider":
             card.notes = ["A baseline: predicts the hider's own later view, not the seeker's.", *card.notes]
         return card
 
     stream = batches()
-    run.begin()
-    while run.progress < 1.0:
-        loss = trainer.learn(next(stream), rate_factor(recipe, run.progress))
-        run.count(recipe.batch * group.size, loss)
-        if run.report_is_due:
-            measures, (batch, views) = trainer.validate(data.batches(held, 64, target, vectors))
-            run.show("predictions", draw_panel(settings.folder / "latest.png", batch, views, target))
-            if better := run.keep_if_best(measures):
-                save(trainer.network, settings.weights, make_card())
-            rate = recipe.rate * rate_factor(recipe, run.progress)
-            run.report(measures, better, {"training/rate": rate, "samples a second": run.speed})
-        if run.checkpoint_is_due:
-            run.write_checkpoint({"trainer": trainer.state()})
-    if group.rank == 0:
-        amend(settings.weights, samples=run.seen, minutes=run.trained / 60)
-    run.finish(settings.weights)
-    return 0
+    run.train(
+        step,
+        validate,
+        trainer.network,
+        make_card,
+        lambda: {"trainer": trainer.state()},
+        lambda: {"training/rate": recipe.rate * rate_factor(recipe, run.progress)},
+    )
+    run.finish()
 
 
 if __name__ == "__main__":  # for torchrun
@@ -139,4 +140,6 @@ if __name__ == "__main__":  # for torchrun
 
     import tyro
 
-    sys.exit(main(tyro.cli(TrainVptTobSettings)))
+    from vantage.stopping import run_stoppable
+
+    sys.exit(run_stoppable(lambda: main(tyro.cli(TrainVptTobSettings)), "train vpt-tob"))

@@ -16,11 +16,11 @@ from rich.table import Table
 
 from learning.process_replay import contents_of, replay_services, replayable, why_silent
 from schemas import GOAL_COUNT, ROBOTS
-from services.referee.reasons import ON_REQUEST
+from services.referee.reasons import is_on_request
 from vantage.log import find_logs, open_log
 from vantage.log.episodes import EpisodeLog, games_of
 from vantage.log.reader import Log, Record
-from vantage.world.arena import CATCH_TOLERANCE
+from vantage.world.arena import CATCH_TOLERANCE, goal_name
 
 UNFINISHED = "it is still being written, or was cut short: wait, or see `vantage log recover`"
 
@@ -53,7 +53,7 @@ def check_game(game: EpisodeLog) -> list[Finding]:
     name = f"game {game.number}"
     drove = f"hider: {game.episode.players.hider}{', discarded' * game.discarded}"
     if game.episode.phase != "ended":
-        good = None if game.discarded or game.episode.reason in ON_REQUEST else False
+        good = None if game.discarded or is_on_request(game.episode.reason) else False
         return [Finding(f"{name} ended", good, f"{game.episode.phase}: {game.episode.reason}")]
     findings = [Finding(f"{name} is whole", game.whole, f"{game.steps} steps, {game.lost} messages lost, {drove}")]
     for robot in ROBOTS:
@@ -71,8 +71,9 @@ def check_game(game: EpisodeLog) -> list[Finding]:
         if plan.values:
             blocked = sum(value is None for value in plan.values)
             good = len(plan.values) == GOAL_COUNT and plan.goal is not None and plan.values[plan.goal] is not None
+            chosen = "no goal" if plan.goal is None else goal_name(plan.goal)
             findings.append(
-                Finding(f"{name}: value map of step {step}", good, f"{GOAL_COUNT} goals, {blocked} blocked, goal {plan.goal}")
+                Finding(f"{name}: value map of step {step}", good, f"{GOAL_COUNT} goals, {blocked} blocked, {chosen}")
             )
     return findings
 

@@ -19,7 +19,7 @@ import msgspec
 
 from schemas.json_schema import message_types
 
-SCHEMA_VERSION = 3
+SCHEMA_VERSION = 4
 
 RETIRED: dict[str, dict[str, int]] = {}
 """Type name -> field name -> the schema version that no longer has the field."""

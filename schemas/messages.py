@@ -13,6 +13,7 @@ Conventions, for all messages:
 from __future__ import annotations
 
 import math
+import struct
 from typing import Annotated, Literal
 
 from msgspec import Meta, Struct, field
@@ -106,6 +107,7 @@ class Episode(Message, frozen=True, kw_only=True):
     caught_step: Annotated[StepNumber | None, Meta(description="step of the catch; null unless caught")] = None
     reason: Annotated[ShortText, Meta(description="why it ended or was aborted, for people")] = ""
     paused: Annotated[bool, Meta(description="the step clock of a running game stands still; said again when it goes on")] = False
+    request: Annotated[ShortText, Meta(description="`Control.request` that asked for the game; empty: none did")] = ""
 
 
 class Tick(Message, frozen=True, kw_only=True):
@@ -323,5 +325,7 @@ class PredictReply(Message, frozen=True, kw_only=True):
         require_finite("reply", self.elapsed)
         if len(self.caught) % 4:
             raise ValueError(f"caught must hold float32, got {len(self.caught)} bytes")
+        if not all(0.0 <= chance <= 1.0 for (chance,) in struct.iter_unpack("<f", self.caught)):  # NaN is not, either
+            raise ValueError("caught must hold probabilities in 0..1")
         for view in self.views:
             _require_bytes("view", view, 3 * STATE_IMAGE_SIZE * STATE_IMAGE_SIZE)

@@ -44,7 +44,10 @@ class Health(Message, frozen=True, kw_only=True):
 
 
 class Control(Message, frozen=True, kw_only=True):
-    """People's wishes: start games or stop them, hold the clock, take back a game, move about in a replayed log."""
+    """People's wishes: start games or stop them, hold the clock, take back a game, move about in a replayed log.
+
+    The referee publishes one, too: it stops the games whose owner has left the bus.
+    """
 
     action: Annotated[
         Literal["start", "stop", "pause", "resume", "discard", "seek"],
@@ -57,6 +60,17 @@ class Control(Message, frozen=True, kw_only=True):
     games: Annotated[Count, Meta(description="start: how many games; 0 = until stopped")] = 1
     rules: Rules = field(default_factory=Rules)
     players: Players = field(default_factory=Players)
+    request: Annotated[
+        ShortText,
+        Meta(
+            description="start: random name of these games, which carry it as `Episode.request`; the same request again starts "
+            "nothing. stop: only the games of this request; empty: whatever is played"
+        ),
+    ] = ""
+    owner: Annotated[
+        ShortText, Meta(description="start: participant whose leaving the bus stops the games; empty: they go on without anyone")
+    ] = ""
+    reason: Annotated[ShortText, Meta(description="stop: why, for people")] = ""
     position: Annotated[Seconds, Meta(description="seek: s after the log's first message")] = 0.0
     speed: Annotated[
         Annotated[float, Meta(ge=SLOWEST, le=FASTEST)] | None,

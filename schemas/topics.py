@@ -19,6 +19,8 @@ HIDER = ("planner", "console", "hider")
 """Who may drive the hider: `Episode.players.hider` says who does in a game, the others are silent."""
 DRIVERS = ("robot", "onboard")
 """Who carries commands out on a real table: our driver, or a robot that speaks on the bus itself."""
+COMMAND_LINE = ("command-line", "command-line-stop")
+"""Who asks for games at a terminal, and who stops them beside it: a name is on the bus once."""
 CAMERAS = ("rehearsal",)
 """Who publishes raw camera frames; the tracker opens real cameras itself."""
 
@@ -87,7 +89,7 @@ TOPICS: dict[str, Topic] = {
         Topic("hider/plan", m.Plan, HIDER),
         Topic("predictor/request", m.PredictRequest, ("predictor", "replay"), cache=16, history=0),
         Topic("predictor/reply", m.PredictReply, ("predictor", "replay"), cache=16, history=0),
-        Topic("control", o.Control, ("console", "command-line"), history=0),
+        Topic("control", o.Control, ("console", *COMMAND_LINE, "referee"), history=0),
         Topic("playback", o.Playback, ("replay",), rate=2.0, recorded=False),
         Topic("gap", o.Gap, ("recorder",), history=0),
         *(Topic(f"health/{service}", o.Health, (service,), rate=1.0, cache=16) for service in SERVICES),

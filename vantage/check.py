@@ -11,7 +11,8 @@ from pathlib import Path
 
 from schemas import CALLS, TOPICS
 from schemas.topics import CAMERAS, HIDER
-from vantage.deployment import Program, configuration_of, programs_of
+from vantage.deployment import configuration_of
+from vantage.process_table import Program, programs_of
 from vantage.service import Declaration
 
 PEOPLE = {"control"}
@@ -29,8 +30,8 @@ def _may_lack_publisher(key: str, services: Iterable[str]) -> bool:
 
 
 def _may_share(key: str) -> bool:
-    """Whether several services of a deployment may publish the key: what drives the hider changes from game to game."""
-    return TOPICS[key].publishers == HIDER
+    """Return whether several services of a deployment may publish the key: wishes, and what drives the hider."""
+    return key in PEOPLE or TOPICS[key].publishers == HIDER
 
 
 def declaration_of(service: str) -> Declaration:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import importlib
 import importlib.metadata
+import inspect
 import io
 import os
 import sys
-from collections.abc import Sequence
+import typing
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from vantage.errors import explain
-from vantage.stopping import run_stoppable
+from vantage.stopping import follow_parent, run_stoppable
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,9 +37,10 @@ class Command:
 
 _LOGS = "finished logs are kept; the same command goes on"
 _NOTHING = "nothing was written; run it again"
-_CHECKPOINT = "the checkpoint is kept; the same command goes on"
-_FIGURES = "finished figures are kept; run it again for the others"
+_CHECKPOINT = "the same command goes on from the last checkpoint"
+_FIGURES = "finished figures are kept; run it again with --force for all"
 _STAGES = "finished stages are kept; the same command goes on"
+_MEASURED = "what was measured before stays in force; run it again"
 _FILES = "finished files are kept; run it again for the others"
 
 COMMANDS = (
@@ -47,6 +51,7 @@ COMMANDS = (
     Command("down", "vantage.commands:down", "stop a deployment"),
     Command("check", "vantage.commands:check", "look at deployments without starting them"),
     Command("play", "vantage.play:main", "play games on a running deployment"),
+    Command("stop", "vantage.play:stop", "end the games of a running deployment"),
     Command("replay", "vantage.replay.command:main", "play a recorded log on the bus, for the console and any service"),
     Command(
         "gather",
@@ -119,11 +124,18 @@ COMMANDS = (
         _NOTHING,
     ),
     Command("foxglove", "vantage.live_viewer:main", "show a running deployment in Foxglove or Lichtblick"),
-    Command("table print", "vantage.table_commands:print_sheets", "PDFs at true scale for a real table: tags, board, ruler"),
-    Command("table calibrate lens", "vantage.table_commands:calibrate_lens", "measure the overhead camera's lens"),
-    Command("table calibrate arena", "vantage.table_commands:calibrate_arena", "find where the overhead camera hangs"),
-    Command("table calibrate robot", "vantage.table_commands:calibrate_robot", "write down a robot's RGB-D camera and its mount"),
-    Command("table colors", "vantage.table_commands:colors", "measure the robots' colours under your lamps"),
+    Command(
+        "table print", "vantage.table_commands:print_sheets", "PDFs at true scale for a real table: tags, board, ruler", _FILES
+    ),
+    Command("table calibrate lens", "vantage.table_commands:calibrate_lens", "measure the overhead camera's lens", _MEASURED),
+    Command("table calibrate arena", "vantage.table_commands:calibrate_arena", "find where the overhead camera hangs", _MEASURED),
+    Command(
+        "table calibrate robot",
+        "vantage.table_commands:calibrate_robot",
+        "write down a robot's RGB-D camera and its mount",
+        _MEASURED,
+    ),
+    Command("table colors", "vantage.table_commands:colors", "measure the robots' colours under your lamps", _MEASURED),
     Command("table check", "vantage.table_commands:check", "look at a real table before a game"),
 )
 
@@ -154,23 +166,36 @@ def find(arguments: Sequence[str]) -> tuple[Command, Sequence[str]] | None:
     return None
 
 
-def run(command: Command, arguments: Sequence[str]) -> int:
-    """Parse the arguments into the command's settings and run it. Returns the exit code."""
-    import inspect
-    import typing
+def parse(command: Command, arguments: Sequence[str]) -> tuple[Callable[[Any], int | None], Any]:
+    """Return the command's function and the settings that the arguments are parsed into.
 
+    Raises:
+        SystemExit: they are refused, or ask for help.
+    """
     import tyro
 
+    function, kind = settings_of(command)
+    return function, tyro.cli(kind, args=list(arguments), prog=f"vantage {command.words}", description=inspect.getdoc(kind))
+
+
+def settings_of(command: Command) -> tuple[Callable[[Any], int | None], type]:
+    """Return the command's function and the dataclass whose fields are its options."""
     module, _, name = command.target.partition(":")
     function = getattr(importlib.import_module(module), name)
     (parameter,) = inspect.signature(function).parameters
-    kind = typing.get_type_hints(function)[parameter]
-    settings = tyro.cli(kind, args=list(arguments), prog=f"vantage {command.words}", description=inspect.getdoc(kind))
+    return function, typing.get_type_hints(function)[parameter]
+
+
+def run(command: Command, arguments: Sequence[str]) -> int:
+    """Parse the arguments into the command's settings and run it. Returns the exit code."""
+    function, settings = parse(command, arguments)
     return int(function(settings) or 0)
 
 
 def main() -> None:
     """Entry point of the `vantage` script."""
+    if "VANTAGE_STAGE" in os.environ:  # a stage of `vantage reproduce`
+        follow_parent()
     arguments = sys.argv[1:]
     if arguments == ["--version"]:
         print(f"vantage {importlib.metadata.version('vantage-hide-and-seek')}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
 import sys
 import time
 from collections.abc import Sequence
@@ -18,6 +19,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from vantage.deployment import Deployment, DeploymentError, configuration_of, deployments
+from vantage.printable import printable
 from vantage.watch import HealthWatch, Verdict
 
 console = Console(highlight=False)
@@ -118,7 +120,7 @@ def up(settings: Up) -> int:
     """Start a deployment; stop it again if a service does not come up."""
     deployment = settings.find()
     started = time.monotonic()
-    deployment.start(settings.logs, dict(_name_and_arguments(text) for text in settings.extra))
+    deployment.start(settings.logs, _extra_arguments(settings.extra))
     try:
         verdicts = _wait_until_healthy(deployment, settings.timeout)
     except BaseException:
@@ -130,13 +132,13 @@ def up(settings: Up) -> int:
         dead = [verdict for verdict in sick if verdict.health is None]
         text = "\n".join(_diagnosis(deployment, verdict) for verdict in dead or sick)
         deployment.stop()
-        raise DeploymentError(f"{settings.deployment} did not come up, and is stopped again.\n{text}")
+        raise DeploymentError(f"{settings.deployment} did not come up, and is stopped again\n{text}")
     memory = _mebibytes(sum(verdict.process.memory for verdict in verdicts) + deployment.supervisor_memory())
     took = time.monotonic() - started
     console.print(f"{settings.deployment} is up: {len(verdicts)} services healthy after {took:.1f} s, {memory} of memory")
     if address := deployment.console_address():
-        console.print(f"watch and play in a browser: [bold]{escape(address)}[/]", soft_wrap=True)
-    folder = "" if settings.folder is None else f" --folder {settings.folder}"
+        console.print(f"watch and play in a browser: [bold]{_escaped(address)}[/]", soft_wrap=True)
+    folder = "" if settings.folder is None else f" --folder {shlex.quote(str(settings.folder))}"
     name = "" if settings.deployment == "simulation" else f" {settings.deployment}"
     where = f" --deployment{name}" if name else ""
     first = ("replay LOG", "play a log on it") if settings.deployment == "replay" else (f"play --seed 7{where}", "play a game")
@@ -162,6 +164,7 @@ def status(settings: Status) -> int:
             "folder": str(deployment.folder),
             "healthy": healthy,
             "memory_bytes": sum(verdict.process.memory for verdict in verdicts) + supervisor,
+            "console": deployment.console_address(),
             "services": [verdict.as_dict() for verdict in verdicts],
         }
         print(json.dumps(document, indent=2))
@@ -169,7 +172,9 @@ def status(settings: Status) -> int:
         console.print(_table(verdicts, supervisor))
         for verdict in verdicts:
             if not verdict.healthy:
-                console.print(f"[red]{verdict.process.name}[/]: {escape(_one_line(verdict.trouble))}", soft_wrap=True)
+                console.print(f"[red]{_escaped(verdict.process.name)}[/]: {_escaped(verdict.trouble)}", soft_wrap=True)
+        if address := deployment.console_address():
+            console.print(f"console: {_escaped(address)}", soft_wrap=True)
     return 0 if healthy else 1
 
 
@@ -189,10 +194,19 @@ def down(settings: Down) -> int:
     """Stop a deployment."""
     configuration_of(settings.deployment)  # a misspelt name must not stop another deployment
     deployment = settings.find()
-    if deployment.stop():
+    stopped = deployment.stop()
+    count = len(stopped.orphans)
+    orphans = f"{count} service{'' if count == 1 else 's'} ({', '.join(stopped.orphans)})"
+    were = "was" if count == 1 else "were"
+    if stopped.supervisor and count:
+        console.print(f"{settings.deployment} is down; {orphans} outlived supervisord and {were} ended", soft_wrap=True)
+    elif stopped.supervisor:
         console.print(f"{settings.deployment} is down")
+    elif count:
+        ended = f"supervisord was gone, {orphans} still ran and {were} ended"
+        console.print(f"{settings.deployment} is down: {ended}", soft_wrap=True)
     else:
-        console.print(f"{settings.deployment} was not up in {deployment.folder}", soft_wrap=True)
+        console.print(f"{settings.deployment} was not up in {deployment.folder}", soft_wrap=True, markup=False)
     return 0
 
 
@@ -210,11 +224,15 @@ def check(settings: Check) -> int:
     return 0 if sound else 1
 
 
-def _name_and_arguments(text: str) -> tuple[str, str]:
-    name, separator, arguments = text.partition("=")
-    if not separator or not name:
-        raise DeploymentError(f'--with wants NAME="ARGUMENTS", not {text!r}')
-    return name, arguments
+def _extra_arguments(texts: Sequence[str]) -> dict[str, str]:
+    """Return service -> arguments; those of a service that is named twice are joined."""
+    extra: dict[str, str] = {}
+    for text in texts:
+        name, separator, arguments = text.partition("=")
+        if not separator or not name:
+            raise DeploymentError(f'--with wants NAME="ARGUMENTS", not {text!r}')
+        extra[name] = f"{extra[name]} {arguments}" if name in extra else arguments
+    return extra
 
 
 def _wait_until_healthy(deployment: Deployment, timeout: float) -> Sequence[Verdict]:
@@ -225,9 +243,19 @@ def _wait_until_healthy(deployment: Deployment, timeout: float) -> Sequence[Verd
             verdicts = watch.verdicts()
             if console.is_terminal:
                 live.update(_progress(verdicts), refresh=True)
-            hopeless = any(not verdict.healthy and verdict.process.restarts >= TROUBLESOME_RESTARTS for verdict in verdicts)
-            if hopeless or all(verdict.healthy for verdict in verdicts) or time.monotonic() > deadline:
+            if (
+                any(_is_hopeless(verdict) for verdict in verdicts)
+                or all(verdict.healthy for verdict in verdicts)
+                or time.monotonic() > deadline
+            ):
                 return verdicts
+
+
+def _is_hopeless(verdict: Verdict) -> bool:
+    """Return whether more patience will not make a service healthy."""
+    process = verdict.process
+    never_starts = process.state == "FATAL" or "find command" in process.complaint
+    return not verdict.healthy and (never_starts or process.restarts >= TROUBLESOME_RESTARTS)
 
 
 def _progress(verdicts: Sequence[Verdict]) -> Table:
@@ -235,9 +263,9 @@ def _progress(verdicts: Sequence[Verdict]) -> Table:
     for verdict in verdicts:
         table.add_row(
             "[green]✓[/]" if verdict.healthy else "[yellow]…[/]",
-            verdict.process.name,
+            _escaped(verdict.process.name),
             verdict.state,
-            escape(_one_line(verdict.trouble)),
+            _escaped(verdict.trouble),
         )
     return table
 
@@ -256,25 +284,29 @@ def _table(verdicts: Sequence[Verdict], supervisor_memory: int) -> Table:
     for verdict in verdicts:
         row = verdict.as_dict()
         process = verdict.process
-        bad = sum(int(str(row[kind])) for kind in ("malformed", "unexpected", "failed"))
         table.add_row(
-            process.name,
+            _escaped(process.name),
             f"[{'green' if verdict.healthy else 'red'}]{verdict.state}[/]",
             str(process.pid or ""),
             str(process.restarts),
             _duration(process.uptime),
             _mebibytes(process.memory),
-            str(bad),
+            str(row["bad"]),
             str(row["lost"]),
         )
     return table
 
 
 def _diagnosis(deployment: Deployment, verdict: Verdict) -> str:
-    name = verdict.process.name
+    """Return why a service is not healthy, by its own last words where it could not start."""
+    name = printable(verdict.process.name)
     tail = deployment.tail(name) or "(it printed nothing)"
+    last = tail.splitlines()[-1]
+    if last.startswith(f"{name} cannot start: "):
+        return last
     indented = "\n".join(f"    {line}" for line in tail.splitlines())
-    return f"{name}: {verdict.state}: {verdict.trouble}\n  the end of {deployment.folder / (name + '.log')}:\n{indented}"
+    trouble = _one_line(verdict.trouble)
+    return f"{name}: {verdict.state}: {trouble}\n  the end of {deployment.folder / (name + '.log')}:\n{indented}"
 
 
 def _follow(path: Path) -> None:
@@ -284,7 +316,7 @@ def _follow(path: Path) -> None:
     while True:
         text = stream.read()
         if text:
-            sys.stdout.write(text)
+            sys.stdout.write("\n".join(printable(line, len(line) + 1) for line in text.split("\n")))
             sys.stdout.flush()
             continue
         try:
@@ -298,7 +330,12 @@ def _follow(path: Path) -> None:
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split())
+    return " ".join(printable(text).split())
+
+
+def _escaped(text: str) -> str:
+    """Return text of a service as one line that is safe to print with markup."""
+    return escape(_one_line(text))
 
 
 def _mebibytes(number: int) -> str:

@@ -13,7 +13,8 @@ from pathlib import Path
 
 from schemas import CALLS, TOPICS
 from vantage.check import declaration_of
-from vantage.deployment import configuration_of, programs_of
+from vantage.deployment import configuration_of
+from vantage.process_table import programs_of
 from vantage.service import Declaration
 
 DOCS = Path(__file__).resolve().parent.parent / "docs"

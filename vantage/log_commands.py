@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
 import tyro
 from rich.console import Console
-from rich.markup import escape
+from rich.text import Text
 
 from services.recorder.appearance import arena_appearance
 from vantage.log.export_formats import export_to, shown_progress
-from vantage.log.games import NoSuchGame
 from vantage.log.lerobot_features import Choice
-from vantage.log.reader import NoSuchLog, find_logs
+from vantage.log.reader import find_logs
+from vantage.log.recover import NothingToRecover
 from vantage.log.recover import recover as rewrite
 from vantage.log.report import info as describe
-from vantage.log.target import ExportError
+from vantage.printable import printable
 
-console = Console(highlight=False)
+
+class _Output(Console):
+    """A console that leaves it to `vantage.cli` what becomes of a reader that goes away, as `head` does."""
+
+    def on_broken_pipe(self) -> None:
+        raise
+
+
+console = _Output(highlight=False)
 complaints = Console(highlight=False, stderr=True)
 
 Source = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="LOG")]
@@ -88,11 +97,8 @@ class Export:
 
 
 def info(settings: Info) -> int:
-    """Print what is in the logs. Exit code 1 when none could be opened, 2 when something in them could not be read."""
-    try:
-        reports = describe(settings.source)
-    except OSError as error:
-        return _failed("info", error)
+    """Print what is in the logs. Exit code 2 when something in them could not be read."""
+    reports = describe(settings.source)
     for report in reports:
         console.print(report)
     return 2 if any(report.breaks for report in reports) else 0
@@ -101,49 +107,44 @@ def info(settings: Info) -> int:
 def recover(settings: Recover) -> int:
     """Rewrite one file, or every file of a folder. Exit code 1 when one could not be rewritten at all."""
     source = settings.source
-    try:
-        if source.is_file():
-            files = {source: settings.to or source.with_name(f"{source.stem}-recovered.mcap")}
-        else:
-            folder = settings.to or source.with_name(f"{source.name}-recovered")
-            files = {path: folder / path.relative_to(source) for parts in find_logs(source) for path in parts}
-        for path, target in files.items():
-            target.parent.mkdir(parents=True, exist_ok=True)
-            console.print(str(rewrite(path, target)), soft_wrap=True)
-    except OSError as error:
-        return _failed("recover", error)
-    return 0
+    if source.is_file():
+        print_plain(str(rewrite(source, settings.to or source.with_name(f"{source.stem}-recovered.mcap"))))
+        return 0
+    folder = settings.to or source.with_name(f"{source.name}-recovered")
+    failed = False
+    for path in (path for parts in find_logs(source) for path in parts):
+        target = folder / path.relative_to(source)
+        if os.path.lexists(target):
+            print_plain(f"{target} is there already, and was left as it is")
+            continue
+        try:
+            print_plain(str(rewrite(path, target)))
+        except NothingToRecover as error:
+            print_plain(f"vantage log recover: {error}", complaints)
+            failed = True
+    return int(failed)
 
 
 def export(settings: Export) -> int:
-    """Export a log. Exit code 1 when it failed, 2 when something in the log could not be read."""
-    try:
-        with shown_progress(complaints) as progress:
-            done = export_to(
-                settings.to,
-                settings.source,
-                settings.output,
-                arena_appearance(),
-                episode=settings.game,
-                force=settings.force,
-                progress=progress,
-                choice=Choice(settings.seeker_pictures, settings.without_catching, settings.rate),
-            )
-    except (OSError, ExportError, NoSuchGame, NoSuchLog) as error:
-        return _failed("export", error)
+    """Export a log. Exit code 2 when something in the log could not be read."""
+    with shown_progress(complaints) as progress:
+        done = export_to(
+            settings.to,
+            settings.source,
+            settings.output,
+            arena_appearance(),
+            episode=settings.game,
+            force=settings.force,
+            progress=progress,
+            choice=Choice(settings.seeker_pictures, settings.without_catching, settings.rate),
+        )
     for text in done.said:
-        console.print(escape(text), soft_wrap=True)
+        print_plain(text)
     for text in done.breaks:
-        complaints.print(f"[yellow]{escape(text)}[/yellow]", soft_wrap=True)
+        print_plain(text, complaints, "yellow")
     return 2 if done.breaks else 0
 
 
-def _failed(command: str, error: Exception) -> int:
-    if isinstance(error, FileExistsError):
-        text = f"{error.filename} exists already: choose another name"
-    elif isinstance(error, OSError) and error.strerror:
-        text = f"{error.filename}: {error.strerror}"
-    else:
-        text = str(error)
-    complaints.print(escape(f"vantage log {command}: {text}"), soft_wrap=True)
-    return 1
+def print_plain(text: str, to: Console = console, style: str = "") -> None:
+    """Print a line that holds names from files, without what a terminal would obey."""
+    to.print(Text(printable(text, 10_000), style), soft_wrap=True)

@@ -24,7 +24,8 @@ class AlreadyExists(UserError):
 
 def partial_name(target: Path) -> Path:
     """Return the hidden name beside `target` under which this process writes it."""
-    return target.with_name(f".{target.stem}.partial-{os.getpid()}{target.suffix}")
+    # Whole names: results that differ by their ending alone may be written side by side.
+    return target.with_name(f".{target.name}.partial-{os.getpid()}{target.suffix}")
 
 
 @contextmanager

@@ -1,40 +1,49 @@
-"""`vantage play`: ask the referee of a running deployment for games, and show how they go."""
+"""`vantage play`: ask the referee of a running deployment for games, and show how they go. `vantage stop`: end them."""
 
 from __future__ import annotations
 
+import contextlib
+import shlex
 import time
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskID, TextColumn, TimeElapsedColumn
 
-from schemas import TOPICS, Control, Episode, MalformedMessage, Message, Plan, Players, Rules, Tick, decode, encode
-from vantage.bus import Alive, Bus, Event, Sample
-from vantage.deployment import Deployment, DeploymentError, deployments
+from schemas import Control, Episode, MalformedMessage, Players
+from schemas.topics import COMMAND_LINE
+from vantage.bus import Alive, Bus, NameInUse, Sample
+from vantage.deployment import DEPLOYMENT_NAME, Deployment, DeploymentError, deployments
+from vantage.match import GOODBYE, Game, Match, SeekerPreset, sentence, wish
+from vantage.printable import printable
+from vantage.stopping import stop_deferred, stop_requested
 
 console = Console(highlight=False)
 
-SeekerPreset = Literal["glancing", "expert"]
-
-PATIENCE = 15.0
-"""Seconds within which the referee must set a game up."""
-REPEAT = 5.0
-"""Seconds after which a request that set nothing up is made again: the referee may have been restarted meanwhile."""
+HUMAN = "human"
+"""Driver of the hider that sits at the console's page."""
+PLAYER, STOPPER = COMMAND_LINE
+REFEREE_PATIENCE = 5.0
+"""Seconds within which a referee must be seen that is to stop games."""
+LATCHED_PATIENCE = 0.5
+"""Seconds in which the bus brings what was published last, and takes a message along."""
 
 
 @dataclass(frozen=True)
 class Settings:
     """Play games on a running deployment and show how they go.
 
+    The games end with this command: on Ctrl-C, or when its terminal is closed, the one under way is stopped at once.
+
     Examples:
         vantage play
         vantage play --seed 7 --games 3
         vantage play --seed 7 --seeker expert --steps 200 --layout lab
         vantage play --games 20 --period 0        as fast as the players answer
+        vantage play --games 500 --detach         go on without this terminal, until `vantage stop`
         vantage play --deployment rehearsal
     """
 
@@ -47,11 +56,13 @@ class Settings:
     layout: str = "random"
     """Arena: `random`, `lab`, or the path of a layout file."""
     hider: str = "planner"
-    """Policy of the hider."""
+    """Policy of the hider: `planner`, or `human` at the console's page."""
     seeker: SeekerPreset = "glancing"
     """Preset of the seeker."""
     period: float = 0.25
     """Seconds a step; 0 = as fast as the players answer."""
+    detach: bool = False
+    """Ask for the games and leave: they go on without this command."""
     deployment: str | None = None
     """The deployment to play on; default: the one that is up."""
     folder: Path | None = None
@@ -60,187 +71,208 @@ class Settings:
     """Name of its arena."""
 
 
-@dataclass(slots=True)
-class Game:
-    """How one game ended.
+@dataclass(frozen=True)
+class StopSettings:
+    """End the games of a running deployment, whoever asked for them: the one under way, and all that are to follow.
 
-    Attributes:
-        planned: s that the hider took to plan, None when it published no plan.
+    Examples:
+        vantage stop
+        vantage stop --deployment rehearsal
     """
 
-    episode: Episode
-    planned: float | None
-    goal: int | None
+    deployment: str | None = None
+    """The deployment on which games are played; default: the one that is up."""
+    folder: Path | None = None
+    """Its private runtime folder, as given to `vantage up`."""
+    arena: str = "table"
+    """Name of its arena."""
 
 
-class Match:
-    """A number of games on a bus: asks for them, follows them, and asks again for the rest if the referee was restarted.
+def play(match: Match, page: str = "") -> Sequence[Game]:
+    """Play a match and show how it goes. Returns how each game ended.
 
     Args:
-        bus: an open session named `command-line`.
-        ask: what to ask for.
-    """
-
-    def __init__(self, bus: Bus, ask: Control) -> None:
-        self._bus = bus
-        self._ask = ask
-        self.games: list[Game] = []
-        self.current: Episode | None = None
-        self.step = 0
-        self._plan: Plan | None = None
-        self._idle_since = time.monotonic()
-        self._ask_at = self._idle_since
-        self._asked = False
-        bus.subscribe("episode", "tick", "hider/plan")
-        bus.watch()
-
-    @property
-    def over(self) -> bool:
-        """Whether all games have been played."""
-        return len(self.games) >= self._ask.games
-
-    def turn(self, timeout: float = 0.1) -> bool:
-        """Take in one event, and ask (again) where no game is under way. Returns whether there was an event.
-
-        Raises:
-            DeploymentError: the referee sets no game up, or a log is being replayed.
-        """
-        now = time.monotonic()
-        if self.current is None and not self.over:
-            if now - self._idle_since > PATIENCE:
-                raise DeploymentError(
-                    f"no game was set up within {PATIENCE:g} s: look at `vantage status` and `vantage logs referee`"
-                )
-            if now >= self._ask_at and self._bus.has_reader("control"):
-                self._ask_at = now + REPEAT
-                self._asked = True
-                done = len(self.games)
-                rest = msgspec.structs.replace(
-                    self._ask, stamp=time.time_ns(), seed=self._ask.seed + done, games=self._ask.games - done
-                )
-                self._bus.publish("control", rest)
-        event = self._bus.receive(timeout)
-        if event is not None:
-            self._take(event)
-        return event is not None
-
-    def _take(self, event: Event) -> None:
-        if isinstance(event, Alive) and event.name == "replay" and event.alive:
-            raise DeploymentError("a log is being replayed here, and its games are not yours: end the replay, or play elsewhere")
-        if isinstance(event, Alive) and event.name == "referee" and not event.alive:
-            if self.current is not None:
-                self._finish(msgspec.structs.replace(self.current, phase="aborted", step=self.step, reason="the referee died"))
-            # The next referee knows nothing of our wish.
-            self._ask_at = time.monotonic() + 1.0
-        if not isinstance(event, Sample) or event.publisher not in TOPICS[event.key].publishers:
-            return
-        try:
-            message: Message = event.decode()
-        except MalformedMessage:
-            return
-        if isinstance(message, Episode):
-            self._on_episode(message)
-        elif self.current is not None and message.episode == self.current.episode:
-            if isinstance(message, Tick):
-                self.step = max(self.step, message.step)
-            elif isinstance(message, Plan):
-                self._plan = message
-
-    def _on_episode(self, episode: Episode) -> None:
-        if not self._asked:
-            return  # of an earlier game
-        if episode.phase == "setup":
-            self.current, self._plan, self.step = episode, None, 0
-        elif self.current is not None and episode.episode == self.current.episode and episode.phase in ("ended", "aborted"):
-            self._finish(episode)
-
-    def _finish(self, episode: Episode) -> None:
-        plan = self._plan
-        self.games.append(Game(episode, plan.elapsed if plan else None, plan.goal if plan else None))
-        self.current = None
-        self._idle_since = time.monotonic()
-        self._ask_at = self._idle_since + REPEAT
-
-
-def sentence(game: Game) -> str:
-    """Return one line that says how a game went."""
-    episode = game.episode
-    if episode.phase == "aborted":
-        return f"game {episode.episode} (seed {episode.seed}): aborted at step {episode.step}: {episode.reason}"
-    ending = f"was caught at step {episode.caught_step}" if episode.outcome == "caught" else f"survived {episode.step} steps"
-    plan = "" if game.planned is None else f", planned in {game.planned:.2f} s, goal {game.goal}"
-    return f"game {episode.episode} (seed {episode.seed}): the hider {ending}{plan}"
-
-
-def play(bus: Bus, ask: Control) -> Sequence[Game]:
-    """Play the games that `ask` names and show how they go. Returns how each ended.
+        page: address of the console's page, for games that a human drives.
 
     Raises:
         DeploymentError: the referee sets no game up.
+        KeyboardInterrupt: somebody wants this command to end; the games have ended.
     """
     columns = (
-        TextColumn("{task.description}"),
+        TextColumn("{task.description}", markup=False),
         BarColumn(),
         TextColumn("step {task.completed:.0f} of {task.total:.0f}"),
         TimeElapsedColumn(),
     )
-    match = Match(bus, ask)
-    told = 0
-    with Progress(*columns, console=console, transient=True) as progress:
-        bar: TaskID = progress.add_task("asking the referee", total=ask.rules.maximum_steps)
+    shown = 0
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as progress:
+        bar: TaskID = progress.add_task("asking the referee", total=match.steps)
         while not match.over:
+            if stop_requested():
+                raise KeyboardInterrupt
             match.turn()
             if match.current is not None:
+                episode = match.current
                 doing = "planning" if match.step == 0 else "playing"
-                progress.update(
-                    bar, description=f"game {match.current.episode} (seed {match.current.seed}): {doing}", completed=match.step
-                )
-            for game in match.games[told:]:
-                told += 1
-                progress.console.print(sentence(game), soft_wrap=True)
+                if episode.paused:
+                    doing = f"paused; drive at {page}" if page else "paused"
+                description = f"game {episode.episode} (seed {episode.seed}): {doing}"
+                progress.update(bar, description=description, completed=match.step)
+            for game in match.games[shown:]:
+                shown += 1
+                progress.console.print(sentence(game), soft_wrap=True, markup=False)
     return match.games
 
 
-def wish(seed: int, games: int, rules: Rules, players: Players) -> Control:
-    """Return the request for some games; a layout file is named so that the table finds it from its own folder.
+def find_running(name: str | None, folder: Path | None) -> Deployment:
+    """Return the deployment of a name, or in a folder, or the only one that is up.
 
     Raises:
-        DeploymentError: nobody could play such a game.
+        DeploymentError: it is not up, or several are and no name tells which.
     """
-    if Path(rules.layout).is_file():
-        from vantage.world.layout import ImpossibleLayout, make_layout  # kernels: only who brings a file waits for them
+    if name is None and folder is not None:
+        with contextlib.suppress(OSError, UnicodeDecodeError):
+            name = (folder / DEPLOYMENT_NAME).read_text().strip()
+        name = name if name in deployments() else None
+    names = [name or "simulation"] if name or folder else deployments()
+    up = [deployment for each in names if (deployment := Deployment(each, folder)).is_running()]
+    if len(up) > 1:
+        listed = ", ".join(deployment.name for deployment in up)
+        raise DeploymentError(f"several deployments are up ({listed}): choose one with --deployment")
+    if not up:
+        deployment = Deployment(names[0] if len(names) == 1 else "simulation", folder)
+        here = f"{deployment.name} is not up in {deployment.folder}" if len(names) == 1 else "no deployment is up"
+        raise DeploymentError(f"{here}: start it with `{deployment.command('up')}`")
+    return up[0]
 
-        rules = msgspec.structs.replace(rules, layout=str(Path(rules.layout).absolute()))
-        try:
-            make_layout(rules.layout, seed)
-        except ImpossibleLayout as error:
-            raise DeploymentError(str(error)) from None
-    elif rules.layout not in ("random", "lab"):
-        raise DeploymentError(f"there is no layout {rules.layout!r}: give `random`, `lab` or the path of a layout file")
-    ask = Control(stamp=time.time_ns(), action="start", seed=seed, games=games, rules=rules, players=players)
+
+@contextlib.contextmanager
+def _session(name: str, deployment: Deployment, arena: str) -> Iterator[Bus]:
+    from vantage.bus.zenoh_bus import ZenohBus
+
     try:
-        return decode(Control, encode(ask))
-    except (MalformedMessage, OverflowError) as error:
-        raise DeploymentError(f"no such game can be played: {error}") from None
-
-
-def _find(settings: Settings) -> Deployment:
-    """Return the deployment that was named, else the one that is up, else the simulation."""
-    if settings.deployment is not None:
-        return Deployment(settings.deployment, settings.folder)
-    up = [deployment for name in deployments() if (deployment := Deployment(name, settings.folder)).is_running()]
-    return up[0] if len(up) == 1 else Deployment("simulation", settings.folder)
+        bus = ZenohBus(name, deployment.folder, arena)
+    except NameInUse:
+        trouble = "games are being asked for" if name == PLAYER else "games are being stopped"
+        raise DeploymentError(
+            f"{trouble} in {deployment.folder} by another command: wait until it ends, or end its games with `vantage stop`"
+        ) from None
+    with bus:
+        yield bus
 
 
 def main(settings: Settings) -> int:
-    """Play; 0 if no game was aborted."""
-    from vantage.bus.zenoh_bus import ZenohBus
+    """Play; 0 if all games were played and none was aborted."""
+    players = Players(hider=settings.hider, seeker=settings.seeker)
+    ask = wish(settings.seed, settings.games, settings.steps, settings.period, settings.layout, players)
+    deployment = find_running(settings.deployment, settings.folder)
+    page = deployment.console_address()
+    if not settings.detach:
+        ask = msgspec.structs.replace(ask, owner=PLAYER)
+    if settings.hider == HUMAN:
+        where = f"open {page} and press an arrow key there" if page else "this deployment has no console"
+        console.print(f"a human drives the hider: {where}", soft_wrap=True, markup=False)
+    with _session(PLAYER, deployment, settings.arena) as bus, stop_deferred():
+        match = Match(bus, ask)
+        try:
+            if settings.detach:
+                return _detach(match, settings, page)
+            games = play(match, page if settings.hider == HUMAN else "")
+        except BaseException as error:  # also the terminal's, when that is closed
+            played = len(match.games)
+            match.stop("`vantage play` has ended")
+            if isinstance(error, KeyboardInterrupt):
+                raise KeyboardInterrupt(_how_to_go_on(settings, played)) from None
+            raise
+    if match.ended_early:
+        left = settings.games - len(games)
+        console.print(f"{left} of {_games(settings.games)} not begun: {match.ended_early}", soft_wrap=True, markup=False)
+    return 1 if match.ended_early or any(game.episode.phase == "aborted" for game in games) else 0
 
-    rules = Rules(maximum_steps=settings.steps, layout=settings.layout, step_period=settings.period)
-    ask = wish(settings.seed, settings.games, rules, Players(hider=settings.hider, seeker=settings.seeker))
-    deployment = _find(settings)
-    if not deployment.folder.is_dir():
-        raise DeploymentError(f"{deployment.name} is not up in {deployment.folder}: start it with `{deployment.command('up')}`")
-    with ZenohBus("command-line", deployment.folder, settings.arena) as bus:
-        games = play(bus, ask)
-    return 1 if any(game.episode.phase == "aborted" for game in games) else 0
+
+def _detach(match: Match, settings: Settings, page: str) -> int:
+    """Return once the first game is set up."""
+    while match.current is None and not match.over:
+        if stop_requested():
+            raise KeyboardInterrupt
+        match.turn()
+    watch = f"watch at {page}" if page else "see `vantage status`"
+    line = f"{_games(settings.games)} from seed {settings.seed} asked for: {watch}, end with `{_command('stop', settings)}`"
+    console.print(line, soft_wrap=True, markup=False)
+    return 0
+
+
+def stop(settings: StopSettings) -> int:
+    """End the games; 0 also if none was being played.
+
+    Raises:
+        DeploymentError: nothing is up, or the referee does not answer.
+    """
+    deployment = find_running(settings.deployment, settings.folder)
+    with _session(STOPPER, deployment, settings.arena) as bus:
+        bus.subscribe("episode")
+        bus.watch()
+        onlooker = _Onlooker(bus)
+        if not onlooker.listen(lambda: onlooker.referee, REFEREE_PATIENCE):
+            raise DeploymentError("the referee is not there: look at `vantage status`")
+        onlooker.listen(lambda: onlooker.episode is not None, LATCHED_PATIENCE)
+        playing = onlooker.is_playing
+        bus.publish("control", Control(stamp=time.time_ns(), action="stop", reason="`vantage stop`"))
+        ended = onlooker.listen(lambda: playing and not onlooker.is_playing, GOODBYE if playing else LATCHED_PATIENCE)
+    if playing and not ended:
+        raise DeploymentError("the game did not end: look at `vantage status`")
+    episode = onlooker.episode
+    if playing and episode is not None:
+        reason = f" ({printable(episode.reason)})" if episode.phase == "ended" else ""
+        line = f"game {episode.episode} (seed {episode.seed}) has ended at step {episode.step}{reason}; none follows"
+        console.print(line, soft_wrap=True, markup=False)
+    else:
+        console.print("no game was being played; none follows")
+    return 0
+
+
+class _Onlooker:
+    """Whether there is a referee, and what it last published of a game."""
+
+    def __init__(self, bus: Bus) -> None:
+        self._bus = bus
+        self.referee = False
+        self.episode: Episode | None = None
+
+    @property
+    def is_playing(self) -> bool:
+        return self.episode is not None and self.episode.phase in ("setup", "running")
+
+    def listen(self, done: Callable[[], bool], seconds: float) -> bool:
+        """Take in what comes until something is so, or `seconds` are over; return whether it is."""
+        end = time.monotonic() + seconds
+        while not done() and (left := end - time.monotonic()) > 0:
+            event = self._bus.receive(left)
+            if isinstance(event, Alive) and event.name == "referee":
+                self.referee = event.alive
+            elif isinstance(event, Sample) and event.publisher == "referee":
+                with contextlib.suppress(MalformedMessage):
+                    message = event.decode()
+                    self.episode = message if isinstance(message, Episode) else self.episode
+        return done()
+
+
+def _how_to_go_on(settings: Settings, played: int) -> str:
+    """Return what a command that was ended leaves, and what to type for the rest."""
+    rest = _command("play", settings, seed=settings.seed + played, games=settings.games - played)
+    return f"{played} of {_games(settings.games)} played, the others: {rest}"
+
+
+def _command(word: str, settings: Settings, **changes: int) -> str:
+    """Return what to type for another command on the same deployment; `play` keeps its options but for `changes`."""
+    words = ["vantage", word]
+    for field in fields(settings):
+        value = changes.get(field.name, getattr(settings, field.name))
+        if value == field.default or (word != "play" and field.name not in ("deployment", "folder", "arena")):
+            continue
+        words += [f"--{field.name}"] if value is True else [f"--{field.name}", str(value)]
+    return shlex.join(words)
+
+
+def _games(count: int) -> str:
+    return f"{count} game{'' if count == 1 else 's'}"

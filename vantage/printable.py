@@ -7,6 +7,17 @@ import unicodedata
 _NOT_PRINTED = frozenset(("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
 
 
+def shortened(text: str, longest: int) -> str:
+    """Return text of at most `longest` characters: what is longer ends between two words, with an ellipsis."""
+    if len(text) <= longest:
+        return text
+    kept = text[:longest]
+    end = kept.rfind(" ")
+    # One long word (a path) is cut within.
+    kept = kept[:end] if end > longest // 2 else kept[:-1]
+    return kept.rstrip(" ,;:") + "…"
+
+
 def printable(text: str, longest: int = 2000) -> str:
     """Return text without anything that a terminal obeys: control codes, escape sequences, changes of direction.
 
@@ -14,9 +25,8 @@ def printable(text: str, longest: int = 2000) -> str:
     `rich.markup.escape`.
 
     Args:
-        longest: characters; what is longer ends in an ellipsis.
+        longest: characters; see `shortened`.
     """
-    if len(text) > longest:
-        text = text[: longest - 1] + "…"
+    text = shortened(text, longest)
     spaced = (" " if letter in "\n\r\t" else letter for letter in text)
     return "".join(letter for letter in spaced if unicodedata.category(letter) not in _NOT_PRINTED)

@@ -56,40 +56,47 @@ def follow_parent() -> None:
     """Make this worker process leave signals of the terminal to its parent, and end when the parent does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    signal_on_parent_death(signal.SIGKILL)
+
+
+def signal_on_parent_death(number: signal.Signals) -> None:
+    """Make the kernel send this process a signal when its parent ends, however that ends."""
     if sys.platform == "linux":
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGKILL)
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, number)
 
 
 def run_stoppable(function: Callable[[], int], name: str, kept: str = "") -> int:
     """Run a command in the main thread and return its exit code: 128 + the signal's number when it was stopped.
 
     Args:
-        function: the command; `KeyboardInterrupt` leaves it.
+        function: the command; `KeyboardInterrupt` leaves it. One that the command itself raises (see `stop_deferred`) may carry
+            a text that takes the place of `kept`.
         name: the command as it was typed, which begins the line.
         kept: what is kept and how to go on, for that line.
     """
-    line = f"{name}: stopped" + (f"; {kept}" if kept else "")
-    with _ended_by_force(line) as end:
+    with _ended_by_force(name, kept) as end:
         try:
             return function()
-        except KeyboardInterrupt:
-            end.say()
+        except KeyboardInterrupt as stopped:
+            end.say(str(stopped))
             return 128 + (_requested or signal.SIGINT)
 
 
 class _End:
     """The line that a stopped command ends with, printed once by whoever comes first."""
 
-    def __init__(self, line: str) -> None:
-        self._line = line
+    def __init__(self, name: str, kept: str) -> None:
+        self._name, self._kept = name, kept
         self._said = threading.Lock()
 
-    def say(self) -> None:
+    def say(self, kept: str = "") -> None:
         if not self._said.acquire(blocking=False):
             return
+        kept = kept or self._kept
+        line = f"{self._name}: stopped" + (f"; {kept}" if kept else "")
         # A progress display that was cut off has hidden the cursor.
         show_cursor = "\r\x1b[K\x1b[?25h" if os.isatty(2) else ""
-        os.write(2, f"{show_cursor}{self._line}\n".encode(errors="replace"))
+        os.write(2, f"{show_cursor}{line}\n".encode(errors="replace"))
 
 
 def _on_signal(number: int, _frame: FrameType | None) -> None:
@@ -100,11 +107,11 @@ def _on_signal(number: int, _frame: FrameType | None) -> None:
 
 
 @contextmanager
-def _ended_by_force(line: str) -> Iterator[_End]:
+def _ended_by_force(name: str, kept: str) -> Iterator[_End]:
     """Install the signals' handlers and the thread that ends a command which does not end by itself."""
     global _requested
     _requested = 0
-    end = _End(line)
+    end = _End(name, kept)
     awake, alarm = socket.socketpair()
     alarm.setblocking(False)
     previous_alarm = signal.set_wakeup_fd(alarm.fileno(), warn_on_full_buffer=False)

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vantage.setting_up.former import keep_former
 from vantage.setting_up.progress import cameras_there, console, progress
 from vantage.setting_up.settings import CalibrateArena, CalibrateLens, CalibrateRobot, Check, Colors, Print
 from vantage.setting_up.trouble import TableTrouble
@@ -20,15 +21,17 @@ def print_sheets(settings: Print) -> int:
         from vantage.setting_up.sheets import write_sheets
         from vantage.tracking.table import default_table, load_table, save_table
     table = default_table() if settings.table is None else load_table(settings.table)
-    for path, pages in write_sheets(settings.to, table, settings.paper):
-        console.print(f"{path}: {pages} page{'s' * (pages != 1)}", soft_wrap=True)
+    for path, pages, kept in write_sheets(settings.to, table, settings.paper):
+        console.print(f"{path}: {pages} page{'s' * (pages != 1)}{kept}", soft_wrap=True, markup=False)
     if settings.table is None:
         file = settings.to / "table.json"
         if file.exists():
-            console.print(f"{file} is there already and was left alone; to print it: --table {file}", soft_wrap=True)
+            left = f"{file} is there already and was left alone; to print it: --table {file}"
+            console.print(left, soft_wrap=True, markup=False)
         else:
             save_table(table, file)
-            console.print(f"{file}: the table they belong to; enter there what you measure on yours", soft_wrap=True)
+            made = f"{file}: the table they belong to; enter there what you measure on yours"
+            console.print(made, soft_wrap=True, markup=False)
     console.print('Print at 100 % ("actual size") and measure the ruler first: docs/table.md, "Printing"')
     return 0
 
@@ -41,14 +44,17 @@ def calibrate_lens(settings: CalibrateLens) -> int:
         from vantage.setting_up.pictures import open_source, write_picture
     with open_source(settings.source, *settings.mode) as source, progress("looking for the board") as say:
 
+        def counted(views: BoardViews) -> str:
+            return f"{len(views.views)} view{'s' * (len(views.views) != 1)}"
+
         def tell(views: BoardViews, looked: int) -> None:
             missing = views.missing()
             of = f" of {source.count}" if source.count is not None else ""
             wish = f"; show {missing[0]}" if missing and source.live else ""
-            say(f"picture {looked}{of}: {len(views.views)} views of the board{wish}")
+            say(f"picture {looked}{of}: {counted(views)} of the board{wish}")
 
         views, refused = gather_views(source, settings.seconds, tell)
-        say(f"fitting the lens to {len(views.views)} views")
+        say(f"fitting the lens to {counted(views)}")
         for name, reason in refused:
             console.print(f"set aside: {name}: {reason}", soft_wrap=True, markup=False)
         coverage = settings.to.with_name(f"{settings.to.stem}-views.png")
@@ -58,12 +64,14 @@ def calibrate_lens(settings: CalibrateLens) -> int:
     for index, reason in result.refused:
         console.print(f"set aside: {used[index].name}: {reason}", soft_wrap=True, markup=False)
     lens = result.lens
+    kept = keep_former(settings.to)
     save_lens(lens, settings.to)
     console.print(f"lens of {lens.width} x {lens.height} pixels from {lens.views} views: residual {lens.residual:.2f} px (RMS)")
     if missing := views.missing():
         console.print(f"good enough, but better with: {'; '.join(missing)}", soft_wrap=True)
-    console.print(f"{settings.to} written; where the board was seen: {coverage}", soft_wrap=True)
-    console.print(f"next: vantage table calibrate arena --source PICTURE_OR_CAMERA --lens {settings.to}", soft_wrap=True)
+    console.print(f"{settings.to} written{kept}; where the board was seen: {coverage}", soft_wrap=True, markup=False)
+    next_command = f"vantage table calibrate arena --source PICTURE_OR_CAMERA --lens {settings.to}"
+    console.print(f"next: {next_command}", soft_wrap=True, markup=False)
     return 0
 
 
@@ -96,6 +104,7 @@ def calibrate_arena(settings: CalibrateArena) -> int:
     canvas.arena(table)
     canvas.tags(found, tag_names(table))
     write_picture(annotated, canvas.picture)
+    kept = keep_former(settings.to)
     calibrations.save_calibration(calibration, settings.to)
     for tag, errors in sorted(corner_errors(camera, found, table).items()):
         console.print(
@@ -106,7 +115,8 @@ def calibrate_arena(settings: CalibrateArena) -> int:
     console.print(
         f"the camera hangs {z:.3f} m above the floor, over x {x:.3f} m, y {y:.3f} m; 1 px is {1000 / camera.scale_at(0.0):.2f} mm"
     )
-    console.print(f"{settings.to} written; look whether border and goals lie where they should: {annotated}", soft_wrap=True)
+    wish = "look whether border and goals lie where they should"
+    console.print(f"{settings.to} written{kept}; {wish}: {annotated}", soft_wrap=True, markup=False)
     return 0
 
 
@@ -126,6 +136,7 @@ def calibrate_robot(settings: CalibrateRobot) -> int:
             calibration, depth = robot_camera.lenses_of(settings.lenses), robot_camera.read_depth(Path(settings.source))
         mount = robot_camera.measure_mount(depth, calibration)
     calibration = robot_camera.mounted(calibration, mount, settings.forward, settings.left, today())
+    kept = keep_former(target)
     if former is None:
         save_rgbd(calibration, target)
     else:
@@ -136,7 +147,8 @@ def calibrate_robot(settings: CalibrateRobot) -> int:
         f"(from {mount.points} points, {1000 * mount.spread:.1f} mm RMS)",
         soft_wrap=True,
     )
-    console.print(f"{target} written; next: vantage table colors --robot {settings.robot} --source PICTURE", soft_wrap=True)
+    following = f"vantage table colors --robot {settings.robot} --source PICTURE"
+    console.print(f"{target} written{kept}; next: {following}", soft_wrap=True, markup=False)
     return 0
 
 
@@ -175,8 +187,10 @@ def colors(settings: Colors) -> int:
     console.print(f"holds while the light is {dark:.2f} to {bright:.2f} times as bright, and for a change of one colour alone:")
     ranges = {"red": limits.red, "green": limits.green, "blue": limits.blue}
     console.print("  " + ", ".join(f"{name} {low:.2f} to {high:.2f}" for name, (low, high) in ranges.items()))
+    kept = keep_former(target)
     save_correction(calibration, correction, target)
-    console.print(f"{target} written; the picture as measured and as corrected: {annotated}", soft_wrap=True)
+    line = f"{target} written{kept}; the picture as measured and as corrected: {annotated}"
+    console.print(line, soft_wrap=True, markup=False)
     return 0
 
 
@@ -190,5 +204,6 @@ def check(settings: Check) -> int:
         console.print(line, soft_wrap=True)
     troubles = sum(not verdict.ok for verdict in verdicts)
     summary = f"{troubles} with trouble" if troubles else "all well"
-    console.print(f"{len(verdicts)} checks, {summary}; pictures: {settings.to}", soft_wrap=True)
+    checks = f"{len(verdicts)} check{'s' * (len(verdicts) != 1)}"
+    console.print(f"{checks}, {summary}; pictures: {settings.to}", soft_wrap=True, markup=False)
     return 1 if troubles else 0

@@ -16,7 +16,7 @@ import numpy as np
 from learning.collect import CollectSettings, play_block
 from schemas import ROBOTS, STATE_IMAGE_SIZE, Episode, Motion
 from vantage.networks.inputs import CHANNELS, render_inputs
-from vantage.service import SECOND, Arrived, Publish, Woken
+from vantage.service import SECOND, Arrived, Captured, Woken, Write
 
 HIDERS = ("goal-walk", "scripted", "random")
 STEPS = 25
@@ -26,7 +26,8 @@ PERIOD = SECOND // 100
 def look_at_a_table(folder: Path) -> None:
     """Calibrate the cameras of a rehearsed table and let the tracker look through them at one step."""
     # Only a machine with the extra `tracker` has what these import.
-    from services.rehearsal.core import RehearsalCore
+    from services.rehearsal.cameras import Cameras
+    from services.rehearsal.core import CAMERAS, RehearsalCore
     from services.rehearsal.preparation import TableSettings, calibrate_and_write, prepare_table
     from services.rehearsal.world import World
     from services.tracker.calibrated import CalibrationFiles, CalibrationSettings
@@ -37,14 +38,18 @@ def look_at_a_table(folder: Path) -> None:
     table, overhead, hider, seeker = (folder / f"{name}.json" for name in ("table", "overhead", *ROBOTS))
     files = CalibrationFiles(CalibrationSettings(table, overhead, hider, seeker), 1280, 720)
     tracker = TrackerCore(files.load_at_start())
-    rehearsal = RehearsalCore(World(prepared.obstacles, prepared.starts, 1), prepared.obstacles, prepared.scene, prepared.cameras)
+    rehearsal = RehearsalCore(World(prepared.obstacles, prepared.starts, 1))
+    cameras = Cameras(prepared.obstacles, prepared.scene, prepared.cameras, seed=1)
     tracker.step(Arrived("episode", Episode(stamp=0, episode=1, seed=1, phase="setup")), 0)
     for robot in ROBOTS:
         tracker.step(Arrived(f"{robot}/motion", Motion(stamp=0, episode=1, primitive="stay", result="completed")), 0)
     for now in range(SECOND, SECOND + SECOND // 2, PERIOD):
         for send in rehearsal.step(Woken(), now):
-            if isinstance(send, Publish):
-                tracker.step(Arrived(send.key, send.message), now)
+            if isinstance(send, Write) and send.device == CAMERAS:
+                frames = cameras.draw(send.data)
+                rehearsal.step(Captured(CAMERAS, frames, now), now)
+                for key, image in frames:
+                    tracker.step(Arrived(key, image), now)
 
 
 def main() -> None:

@@ -7,11 +7,13 @@ import time
 from dataclasses import dataclass, field
 
 from schemas import Health, MalformedMessage
-from vantage.bus import Bus, Sample
+from vantage.bus import Bus, Event, Sample
 from vantage.deployment import Deployment, Process
+from vantage.printable import printable
+from vantage.service import bad_messages
 
 STALE_HEALTH = 2.5
-"""Seconds after which a health message, due each second, is no news any more."""
+"""Seconds without a health message, due each second, after which a service is silent."""
 _ALIVE = ("STARTING", "RUNNING")
 
 
@@ -50,6 +52,7 @@ class Verdict:
             "lost": sum(entry.lost for entry in health.inputs) if health else 0,
             "unexpected": health.unexpected if health else 0,
             "failed": health.failed if health else 0,
+            "bad": bad_messages(health) if health else 0,
         }
 
 
@@ -58,10 +61,11 @@ def judge(process: Process, health: Health | None, age: float) -> Verdict:
 
     Args:
         health: its last message, of this process or an earlier one.
-        age: s since that message came.
+        age: s since that message arrived, on the listener's own monotonic clock: stamps are of the service's clock, from which a
+            suspended machine or a corrected wall clock differs.
     """
     if process.state not in _ALIVE:
-        return Verdict(False, process.state.lower(), process.complaint or "no process", process, None)
+        return Verdict(False, process.state.lower(), printable(process.complaint) or "no process", process, None)
     if health is None or health.process != process.pid:
         return Verdict(False, "starting", "has not reported yet", process, None)
     if age > STALE_HEALTH:
@@ -70,7 +74,8 @@ def judge(process: Process, health: Health | None, age: float) -> Verdict:
     stale = [entry.key for entry in health.inputs if entry.stale]
     if health.state == "ok" and not stale:
         return Verdict(True, "ok", "", process, health)
-    return Verdict(False, health.state, health.reason or f"stale inputs: {', '.join(stale)}", process, health)
+    trouble = printable(health.reason) or f"stale inputs: {printable(', '.join(stale))}"
+    return Verdict(False, health.state, trouble, process, health)
 
 
 @dataclass
@@ -81,6 +86,7 @@ class HealthWatch:
     arena: str = "table"
     _last: dict[str, tuple[Health, float]] = field(default_factory=dict)
     _bus: Bus | None = None
+    _listened_until: float = 0.0
 
     def __enter__(self) -> HealthWatch:
         # Zenoh is imported late: other commands of `vantage` must not wait for it.
@@ -88,6 +94,7 @@ class HealthWatch:
 
         self._bus = ZenohBus(f"watch-{os.getpid()}", self.deployment.folder, self.arena)
         self._bus.subscribe("health/*")
+        self._listened_until = time.monotonic()
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -95,23 +102,25 @@ class HealthWatch:
             self._bus.close()
 
     def listen(self, seconds: float) -> None:
-        """Take in what is said during `seconds`."""
+        """Take in what is published during `seconds`."""
         assert self._bus is not None
+        # What waits already may have come at any time since the last call.
+        while (event := self._bus.receive(0.0)) is not None:
+            self._take(event, self._listened_until)
         deadline = time.monotonic() + seconds
         while (left := deadline - time.monotonic()) > 0:
-            event = self._bus.receive(left)
-            if isinstance(event, Sample):
-                try:
-                    message = event.decode()
-                except MalformedMessage:
-                    continue
-                if (
-                    isinstance(message, Health)
-                    and event.publisher == message.service
-                    and event.key == f"health/{message.service}"
-                ):
-                    heard = time.monotonic() - max(0.0, (time.time_ns() - message.stamp) / 1e9)
-                    self._last[message.service] = (message, heard)
+            self._take(self._bus.receive(left), time.monotonic())
+        self._listened_until = time.monotonic()
+
+    def _take(self, event: Event | None, heard: float) -> None:
+        if not isinstance(event, Sample):
+            return
+        try:
+            message = event.decode()
+        except MalformedMessage:
+            return
+        if isinstance(message, Health) and event.publisher == message.service and event.key == f"health/{message.service}":
+            self._last[message.service] = (message, heard)
 
     def verdicts(self) -> list[Verdict]:
         """Return the verdict on every service of the deployment.

@@ -26,11 +26,18 @@ def table_of(result: dict[str, Any], papers: dict[str, float | None]) -> Table:
     """Return a set's results for the terminal, %, 80 columns wide."""
     table = Table(title=title_of(result), title_justify="left", box=SIMPLE, padding=0, pad_edge=False, show_edge=False)
     heads = _HEADS if result["horizon limit"] == PAPER_LIMIT else _HEADS[:-1]
-    for number, head in enumerate(heads):
+    seeded = any("over seeds" in found for found in result["methods"].values())
+    for number, head in enumerate((*heads, "seeds") if seeded else heads):
         table.add_column(head, justify="left" if number == 0 else "right", no_wrap=True)
     for name, found in result["methods"].items():
-        table.add_row(*(name, *_row(name, found, result, papers))[: len(heads)])
+        row = (name, *_row(name, found, result, papers))[: len(heads)]
+        table.add_row(*row, *([over_seeds(found.get("over seeds"))] if seeded else []))
     return table
+
+
+def over_seeds(found: dict[str, Any] | None) -> str:
+    """Return how far the trainings with several seeds lie apart, points: standard deviation, range, how many."""
+    return "" if found is None else f"±{100 * found['sd']:.1f} ({_interval(found['range'])}, n = {found['n']})"
 
 
 def _row(name: str, found: dict[str, Any], result: dict[str, Any], papers: dict[str, float | None]) -> tuple[str, ...]:
@@ -62,6 +69,8 @@ def page_of(report: dict[str, Any]) -> str:
         f"catch). *{CLOCK}* is the best predictor that knows nothing but how far ahead it is asked, fitted on training games;",
         f"*over clock* is the paired difference to it. *{ORACLE}* plays the game on from its true state with the true policies;",
         f"*{VIEW_ORACLE}* plays it in arenas drawn from all that look the same to the hider at the start.",
+        "Of a method trained with several seeds all figures are means over these, and *over seeds* says how far the trainings'",
+        "accuracies lie apart: standard deviation (range), beside the interval over games. A method without it was trained once.",
         "The paper's figures are from its Table I (its own game and seeker).",
         "",
         *(f"* {line}" for line in (*report["warnings"], *report["left out"])),
@@ -82,7 +91,19 @@ def fewer(result: dict[str, Any]) -> list[str]:
 
 
 def _main_table(result: dict[str, Any], papers: dict[str, float | None]) -> list[str]:
-    heads = ("", "accuracy", "95 %", "balanced", "AUROC", "over clock", "over vpt-tob", "ECE", "Brier", "log loss", "paper")
+    heads: tuple[str, ...] = (
+        "",
+        "accuracy",
+        "95 %",
+        "balanced",
+        "AUROC",
+        "over clock",
+        "over vpt-tob",
+        "ECE",
+        "Brier",
+        "log loss",
+    )
+    heads += ("over seeds", "paper")
     rows = []
     for name, found in result["methods"].items():
         *measures, paper = _row(name, found, result, papers)
@@ -95,6 +116,7 @@ def _main_table(result: dict[str, Any], papers: dict[str, float | None]) -> list
                 _percent(told["expected calibration error"]),
                 _percent(told["Brier"]),
                 _number(told["log loss"], 3),
+                over_seeds(found.get("over seeds")),
                 paper,
             )
         )
@@ -116,7 +138,7 @@ def _parts_table(result: dict[str, Any], kind: str) -> list[str]:
     return _markdown((kind.removeprefix("by "), "examples", "caught", *methods), rows)
 
 
-_WEIGHT_HEADS = ("method", "file", "preset", "samples seen", "images", "training set", "sha256")
+_WEIGHT_HEADS = ("method", "file", "preset", "seed", "samples seen", "images", "training set", "sha256")
 
 
 def _weight_rows(methods: dict[str, Any]) -> list[tuple[str, ...]]:
@@ -125,6 +147,7 @@ def _weight_rows(methods: dict[str, Any]) -> list[tuple[str, ...]]:
             name,
             file,
             str(weights["preset"]),
+            "" if weights.get("seed") is None else str(weights["seed"]),
             "" if weights["samples"] is None else f"{weights['samples']:,}",
             "" if weights["images"] is None else f"{weights['images']:,}",
             f"`{weights['data'][:8]}`",

@@ -123,7 +123,7 @@ def table_two(maps: Result) -> Figure:
     caption = (
         "Value maps, mean over starts. Dotted: another simulation of the same starts. Networks are trained on at most 200 steps."
     )
-    figure = new_figure(5.6, "Which of two goals is safer? Relative ranking accuracy (Table II)", caption)
+    figure = new_figure(5.6, "Which of two goals is more dangerous? Relative ranking accuracy (Table II)", caption)
     measures = (
         ("with_ties", "binary", "binary v, equality included, as in the paper"),
         ("without_ties", "expected", "summed probabilities, pairs that differ in the truth"),

@@ -16,7 +16,6 @@ from learning.figures.style import (
     arena,
     color_of,
     new_figure,
-    of_the_seeker,
     robot,
     show_image,
     title_of,
@@ -24,12 +23,11 @@ from learning.figures.style import (
 from learning.methods.method import Method
 from learning.methods.views import PredictedViews
 from schemas import Box
-from vantage.perception.palette import PALETTE
+from vantage.perception.palette import view_for_people, view_palette
 from vantage.world.layout import make_layout
 
 INTERVAL = 20
 """Steps between the views that are shown (paper, Fig. 4)."""
-_LEGEND = "white: seen free floor; blue: not seen; black: boundary; green disc: hider; red disc: seeker"
 
 
 @dataclass(frozen=True)
@@ -110,7 +108,7 @@ def seeker_views(data: Dataset, game: Shown, steps: NDArray[np.int64]) -> NDArra
     """Return what the seeker truly sees at some steps, in the colours of figures [n, 128, 128, 3]."""
     first = int(data.episodes["first_step"][game.row])
     images = [np.frombuffer(data.image(first + game.at(int(step)), 1), np.uint8).reshape(128, 128) for step in steps]
-    return of_the_seeker(PALETTE[np.stack(images)])
+    return view_palette("seeker")[np.stack(images)]
 
 
 def training_pairs(data: Dataset, count: int = 3) -> Figure:
@@ -122,8 +120,9 @@ def training_pairs(data: Dataset, count: int = 3) -> Figure:
         samples.episode[wanted], samples.start[wanted], samples.horizon[wanted], samples.symmetry[wanted], samples.caught[wanted]
     )
     batch = data.render(picked)
-    caption = f"F: darker = more visits; T: darker = later; both up to the step asked for. {_LEGEND}"
-    figure = new_figure(2.95 * len(wanted) + 1.0, "What the network is shown, and what it is to predict", caption, width=12)
+    caption = "F: darker = more visits; T: darker = later; both up to the step asked for."
+    title = "What the network is shown, and what it is to predict"
+    figure = new_figure(2.95 * len(wanted) + 1.0, title, caption, width=12, views=True)
     height = figure.get_figheight()
     grid = figure.add_gridspec(
         len(wanted), 4, left=0.06, right=0.99, top=1 - 0.8 / height, bottom=0.7 / height, wspace=0.04, hspace=0.12
@@ -132,7 +131,8 @@ def training_pairs(data: Dataset, count: int = 3) -> Figure:
     for row in range(len(wanted)):
         inputs = batch.inputs[row]
         frequency, time = (_on_white(inputs[..., channel], inputs[..., channel + 1]) for channel in (3, 5))
-        pictures = (inputs[..., :3], frequency, time, of_the_seeker(batch.targets[row]))
+        seen, target = view_for_people(inputs[..., :3], "hider"), view_for_people(batch.targets[row], "seeker")
+        pictures = (seen, frequency, time, target)
         for column, picture in enumerate(pictures):
             axes = figure.add_subplot(grid[row, column])
             show_image(axes, picture, titles[column] if row == 0 else "")
@@ -148,11 +148,12 @@ def _on_white(luminance: NDArray[np.uint8], alpha: NDArray[np.uint8]) -> NDArray
 
 def predicted_views(data: Dataset, method: PredictedViews, games: list[Shown]) -> Figure:
     """Draw predicted against true seeker views along whole games, under the game from above (paper, Fig. 4)."""
-    caption = f"{_LEGEND}. A prediction blurs what is uncertain. % is the risk that the VPN reads from the prediction."
+    caption = "A prediction blurs what is uncertain. % is the risk that the VPN reads from the prediction."
     columns = max(len(every_interval(game)) for game in games)
     side = (14.4 - 0.9) / columns
     block = 3 * min(side, 1.9) + 0.85
-    figure = new_figure(block * len(games) + 1.0, "The seeker's views, predicted at step 0, beside the true ones", caption)
+    title = "The seeker's views, predicted at step 0, beside the true ones"
+    figure = new_figure(block * len(games) + 1.2, title, caption, views=True)
     height = figure.get_figheight()
     for index, game in enumerate(games):
         top = 1 - (0.95 + index * block) / height
@@ -163,7 +164,7 @@ def predicted_views(data: Dataset, method: PredictedViews, games: list[Shown]) -
         steps = every_interval(game)
         samples = samples_of(game, steps)
         questions = data.questions(samples)
-        views, risk = of_the_seeker(method.predict(questions)), _probability(method.judge(questions))
+        views, risk = view_for_people(method.predict(questions), "seeker"), _probability(method.judge(questions))
         true = seeker_views(data, game, steps)
         for column, step in enumerate(steps):
             above, middle, below = (figure.add_subplot(grid[row, column]) for row in range(3))
@@ -199,15 +200,15 @@ def side_by_side(data: Dataset, methods: list[Method], game: Shown) -> Figure:
     samples = samples_of(game, shown)
     questions, true = data.questions(samples), seeker_views(data, game, shown)
     rows = 1 + len(painters)
-    figure = new_figure(max(1.45 * rows + 1.9, 5.0), f"Methods side by side: {game.name}", _LEGEND)
+    figure = new_figure(max(1.45 * rows + 1.9, 5.0), f"Methods side by side: {game.name}", views=True)
     height = figure.get_figheight()
     edges = {"top": 1 - 0.85 / height, "bottom": 0.75 / height}
     grid = figure.add_gridspec(rows, len(shown), left=0.105, right=0.56, wspace=0.05, hspace=0.12, **edges)
     for row in range(rows):
         method = painters[row - 1] if row else None
         pictures = true if method is None else method.predict(questions)
-        if method is not None and method.name != "self-perspective":
-            pictures = of_the_seeker(pictures)
+        if method is not None:
+            pictures = view_for_people(pictures, "hider" if method.name == "self-perspective" else "seeker")
         for column in range(len(shown)):
             axes = figure.add_subplot(grid[row, column])
             show_image(axes, pictures[column], f"step {shown[column]}" if row == 0 else "")
@@ -225,8 +226,8 @@ def side_by_side(data: Dataset, methods: list[Method], game: Shown) -> Figure:
         axes.plot(ahead, risk, color=color_of(one.name), linewidth=2, label=title_of(one.name))
     if game.caught is not None:
         axes.axvline(game.caught, color="black", linewidth=1, linestyle="--", label="the catch")
-    axes.set_xlabel("steps ahead", fontsize=11)
-    axes.set_ylabel("risk to be caught by then, as judged at step 0, %", fontsize=11)
+    axes.set_xlabel("steps ahead, as judged at step 0", fontsize=11)
+    axes.set_ylabel("risk to be caught by then, %", fontsize=11)
     axes.set_ylim(-2, 102)
     axes.set_xlim(0, last)
     axes.grid(color="0.9")

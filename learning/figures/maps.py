@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
@@ -13,7 +12,7 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from learning.figures.style import SAFETY_MAP, arena, color_of, new_figure, robot, title_of
+from learning.figures.style import DANGER_MAP, arena, color_of, new_figure, robot, title_of
 from learning.value_maps.ranking import agreement
 from vantage.world.arena import GOALS
 from vantage.world.layout import make_layout
@@ -21,7 +20,7 @@ from vantage.world.motion import heading_radians
 
 Arrays = dict[str, NDArray[Any]]
 CHECKPOINTS_EVERY = 10
-WANTED = ("vpt-tob", "hazard", "self-perspective", "vector-action", "coordinate-path")
+WANTED = ("vpt-tob", "hazard", "hazard-attention", "self-perspective", "vector-action", "coordinate-path")
 """Methods whose maps are shown, as far as they are there."""
 
 
@@ -39,8 +38,8 @@ def value_maps(found: Arrays, layout: str, rows: int = 4, horizon: int = 0) -> F
     steps = int(found["horizons"][horizon])
     count = steps // CHECKPOINTS_EVERY
     caption = (
-        f"Safety: how many of {count} checkpoints (one every {CHECKPOINTS_EVERY} steps) the hider is expected to reach free, for "
-        "each of 121 goals. Star: the goal chosen; green and red disc: hider and seeker at the start.\n"
+        f"Danger: at how many of {count} checkpoints (one every {CHECKPOINTS_EVERY} steps) the hider is expected to be caught, "
+        "for each of 121 goals. Star: the goal chosen; green and red disc: hider and seeker at the start.\n"
         "First column: the mean of simulations; below each map: pairs of goals in the true order, ties in the truth left out."
     )
     columns = 1 + len(methods)
@@ -72,7 +71,7 @@ def value_maps(found: Arrays, layout: str, rows: int = 4, horizon: int = 0) -> F
                 index = predictors.index(f"{methods[column - 1]}, expected")
                 values, goal = found["values"][index, row, horizon].astype(np.float64), int(found["chosen"][index, row, horizon])
                 below = f"{agreement(values, truth).without_ties:.0%} of pairs in order"
-            _map(axes, count - values, norm)
+            _map(axes, values, norm)
             for index, who in enumerate(("hider", "seeker")):
                 x, y, number = found["poses"][row, index]
                 robot(axes, who, x, y, float(heading_radians(int(number))))  # type: ignore[arg-type]
@@ -82,13 +81,13 @@ def value_maps(found: Arrays, layout: str, rows: int = 4, horizon: int = 0) -> F
                 name = "true" if column == 0 else title_of(methods[column - 1])
                 axes.set_title(name, fontsize=12, color="black" if column == 0 else color_of(methods[column - 1]))
     place = figure.add_axes((1 - 0.85 / figure.get_figwidth(), 0.95 / height, 0.18 / figure.get_figwidth(), 1 - 1.85 / height))
-    bar = figure.colorbar(ScalarMappable(norm, matplotlib.colormaps[SAFETY_MAP]), cax=place)
-    bar.set_label(f"safety: checkpoints of {count} reached free", fontsize=11)
+    bar = figure.colorbar(ScalarMappable(norm, DANGER_MAP), cax=place)
+    bar.set_label(f"danger: caught at so many of {count} checkpoints", fontsize=11)
     return figure
 
 
-def _map(axes: Axes, safety: NDArray[np.float64], norm: Normalize) -> None:
-    image = np.ma.masked_invalid(safety.reshape(11, 11))
-    axes.imshow(image, origin="lower", extent=(0.05, 1.15, 0.05, 1.15), cmap=SAFETY_MAP, norm=norm, alpha=0.9, zorder=1)
-    blocked = GOALS[np.isnan(safety)]
+def _map(axes: Axes, danger: NDArray[np.float64], norm: Normalize) -> None:
+    image = np.ma.masked_invalid(danger.reshape(11, 11))
+    axes.imshow(image, origin="lower", extent=(0.05, 1.15, 0.05, 1.15), cmap=DANGER_MAP, norm=norm, zorder=1)
+    blocked = GOALS[np.isnan(danger)]
     axes.plot(blocked[:, 0], blocked[:, 1], "x", color="0.6", markersize=4, zorder=2)

@@ -8,6 +8,7 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle, Rectangle
 from matplotlib.transforms import Affine2D
@@ -15,21 +16,26 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from schemas import Box, Robot
-from vantage.world.arena import ARENA_SIZE, HIDER_COLOR, ROBOT_RADIUS, SEEKER_COLOR
+from vantage.output import complete
+from vantage.perception.palette import BOUNDARY, DANGER, FREE, INVISIBLE, PALETTE
+from vantage.world.arena import ARENA_SIZE, ROBOT_COLORS, ROBOT_RADIUS
 
 matplotlib.use("Agg")
 
 WIDTH = 14.4
 """Inches a figure is wide: 1440 pixels, a laptop's screen."""
 DPI = 100
-MAXIMUM_BYTES = 150_000
-"""A figure takes no more on disk."""
 
-ROBOTS: dict[Robot, tuple[float, ...]] = {
-    "hider": tuple(part / 255 for part in HIDER_COLOR),
-    "seeker": tuple(part / 255 for part in SEEKER_COLOR),
-}
-SAFETY_MAP = "RdYlBu"  # red is dangerous, blue is safe, as in the paper
+ROBOTS: dict[Robot, tuple[float, ...]] = {robot: tuple(part / 255 for part in color) for robot, color in ROBOT_COLORS.items()}
+VIEW_LEGEND: tuple[tuple[str, tuple[float, ...]], ...] = (
+    ("seen free floor", tuple(PALETTE[FREE] / 255)),
+    ("not seen", tuple(PALETTE[INVISIBLE] / 255)),
+    ("boundary", tuple(PALETTE[BOUNDARY] / 255)),
+    *ROBOTS.items(),
+)
+"""What the colours of state images stand for in pictures for people, whoever looks."""
+DANGER_MAP = LinearSegmentedColormap.from_list("danger", DANGER / 255)
+"""Blue is a low danger, red a high one: the same colours as on the console's page and in exports."""
 BOX = "0.25"
 QUIET = "0.35"  # captions
 
@@ -68,26 +74,37 @@ def color_of(method: str) -> str:
     return METHODS.get(method, OTHER)
 
 
-def new_figure(height: float, title: str, caption: str = "", width: float = WIDTH) -> Figure:
-    """Return an empty figure, `width` x `height` inches, with a title above and a caption below."""
+def new_figure(height: float, title: str, caption: str = "", width: float = WIDTH, views: bool = False) -> Figure:
+    """Return an empty figure, `width` x `height` inches, with a title above and a caption below.
+
+    Args:
+        views: state images will be in it: say what their colours stand for.
+    """
     figure = Figure(figsize=(width, height), dpi=DPI, facecolor="white")
     figure.text(0.01, 1 - 0.12 / height, title, fontsize=16, fontweight="bold", va="top")
-    figure.text(0.01, 0.10 / height, caption, fontsize=11, color=QUIET, va="bottom", wrap=True)
+    figure.text(0.01, (0.36 if views else 0.10) / height, caption, fontsize=11, color=QUIET, va="bottom", wrap=True)
+    if views:
+        view_legend(figure, 0.01 * width, 0.10)
     return figure
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a figure as PNG, with as many colours as `MAXIMUM_BYTES` allow."""
+    """Write a figure as PNG in true colours: a palette of fewer would change those that the legend names."""
     raw = io.BytesIO()
     figure.savefig(raw, format="png")
-    image = Image.open(raw).convert("RGB")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    for colors in (256, 160, 96, 64, 32):
-        packed = io.BytesIO()
-        image.quantize(colors, Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
-        if packed.tell() <= MAXIMUM_BYTES:
-            break
-    path.write_bytes(packed.getvalue())
+    with complete(path) as partial:
+        Image.open(raw).convert("RGB").save(partial, "png", optimize=True)
+
+
+def view_legend(figure: Figure, left: float, bottom: float) -> None:
+    """Draw what the colours of state images stand for in one line: inches from the figure's lower left corner."""
+    width, height = figure.get_size_inches()
+    for name, color in VIEW_LEGEND:
+        place = (left / width, bottom / height)
+        swatch = Rectangle(place, 0.15 / width, 0.15 / height, facecolor=color, edgecolor=QUIET, transform=figure.transFigure)
+        figure.add_artist(swatch)
+        figure.text((left + 0.21) / width, place[1], name, fontsize=11, color=QUIET, va="bottom")
+        left += 0.45 + 0.085 * len(name)
 
 
 def show_image(axes: Axes, image: NDArray[np.uint8], title: str = "", below: str = "") -> None:
@@ -99,14 +116,6 @@ def show_image(axes: Axes, image: NDArray[np.uint8], title: str = "", below: str
         axes.set_title(title, fontsize=11)
     if below:
         axes.set_xlabel(below, fontsize=11)
-
-
-def of_the_seeker(view: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Return a seeker's view [..., 3] with hider green and seeker red, as in every other picture.
-
-    The palette paints a robot's own disc green and the other's red, whoever looks; here the seeker looks.
-    """
-    return view[..., [1, 0, 2]]
 
 
 def arena(axes: Axes, boxes: tuple[Box, ...], ticks: bool = True) -> None:

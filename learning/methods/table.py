@@ -11,12 +11,13 @@ from learning.methods.caught import CaughtAtHorizon, Hazard
 from learning.methods.machine import Machine
 from learning.methods.method import Method
 from learning.methods.shown import Show, action_images, view_and_vector
+from learning.methods.trainings import files_of, trainings_of
 from learning.methods.views import PredictedViews
 from vantage.networks.inference import folded
 from vantage.networks.vpn import Vpn
 from vantage.networks.weights import ModelCard, UnusableWeights, load, load_any
 
-Loader = Callable[[str, Path, Machine], Method]
+Loader = Callable[[str, tuple[Path, ...], Machine], Method]
 
 
 @dataclass(frozen=True)
@@ -26,7 +27,7 @@ class Row:
     Attributes:
         description: one line for people.
         files: stems of the weights it needs, in the order in which they are trained.
-        load: name, folder, machine -> the method.
+        load: name, files, machine -> the method.
         training: the command that makes each file, but for `--to`; {folder} stands for that of the weights.
         paper: accuracy in the paper's Table I (simulation, 1,000 unseen examples), a share; None = not in the paper.
     """
@@ -39,42 +40,42 @@ class Row:
 
 
 def _views(architecture: str, show: Show) -> Loader:
-    def loader(name: str, folder: Path, machine: Machine) -> Method:
-        predictor_file, vpn_file = METHODS[name].files
+    def loader(name: str, files: tuple[Path, ...], machine: Machine) -> Method:
+        predictor_file, vpn_file = files
         cards: dict[str, ModelCard] = {}
-        predictor, cards[predictor_file] = load_any(folder / f"{predictor_file}.safetensors", (architecture,))
-        vpn, cards[vpn_file] = load(folder / f"{vpn_file}.safetensors", Vpn)
+        predictor, cards[predictor_file.stem] = load_any(predictor_file, (architecture,))
+        vpn, cards[vpn_file.stem] = load(vpn_file, Vpn)
         return PredictedViews(name, predictor, vpn, show, cards, machine)
 
     return loader
 
 
-def _network(name: str, folder: Path, architecture: str) -> tuple[Any, dict[str, ModelCard]]:
-    (file,) = METHODS[name].files
-    network, card = load_any(folder / f"{file}.safetensors", (architecture,))
-    return network, {file: card}
+def _network(files: tuple[Path, ...], architecture: str) -> tuple[Any, dict[str, ModelCard]]:
+    (file,) = files
+    network, card = load_any(file, (architecture,))
+    return network, {file.stem: card}
 
 
-def _coordinate_value(name: str, folder: Path, machine: Machine) -> Method:
-    network, cards = _network(name, folder, "coordinate-value")
+def _coordinate_value(name: str, files: tuple[Path, ...], machine: Machine) -> Method:
+    network, cards = _network(files, "coordinate-value")
     return CaughtAtHorizon(name, machine.prepared(folded(network)), view_and_vector, cards, machine)
 
 
-def _hazard(name: str, folder: Path, machine: Machine) -> Method:
-    network, cards = _network(name, folder, "hazard")
+def _hazard(name: str, files: tuple[Path, ...], machine: Machine) -> Method:
+    network, cards = _network(files, "hazard")
     return Hazard(name, network, cards, machine)
 
 
-def _hazard_attention(name: str, folder: Path, machine: Machine) -> Method:
-    network, cards = _network(name, folder, "hazard-attention")
+def _hazard_attention(name: str, files: tuple[Path, ...], machine: Machine) -> Method:
+    network, cards = _network(files, "hazard-attention")
     return Hazard(name, network, cards, machine, view_and_vector)
 
 
-def _caught_head(name: str, folder: Path, machine: Machine) -> Method:
-    network, cards = _network(name, folder, "vpt-tob")
-    card = cards["vpt-tob"]
+def _caught_head(name: str, files: tuple[Path, ...], machine: Machine) -> Method:
+    network, cards = _network(files, "vpt-tob")
+    (card,) = cards.values()
     if network.head is None or not card.training.get("head_weight"):
-        raise UnusableWeights(f"{folder / 'vpt-tob.safetensors'} was trained without a caught head")
+        raise UnusableWeights(f"{files[0]} was trained without a caught head")
     return CaughtAtHorizon.of_head(name, network, cards, machine)
 
 
@@ -154,30 +155,49 @@ def missing(name: str, folder: Path) -> str | None:
     """Return one line on the first file that a method lacks in a folder of weights and the command that makes it, or None."""
     row = METHODS[name]
     for file, command in zip(row.files, row.training, strict=True):
-        path = folder / f"{file}.safetensors"
-        if not path.exists():
+        if not files_of(file, folder):
+            path = folder / f"{file}.safetensors"
             return f"{name} left out: no {path}; `vantage {command.format(folder=folder)} --to {path}` makes it"
     return None
 
 
-def load_methods(names: Iterable[str], folder: Path, machine: Machine | None = None) -> tuple[list[Method], list[str]]:
-    """Return the methods whose weights are in a folder, and a line on each that is left out.
+def load_trainings(
+    names: Iterable[str], folder: Path, machine: Machine | None = None, most: int | None = None
+) -> tuple[dict[str, list[Method]], list[str]]:
+    """Return the methods whose weights are in a folder, each once for every seed it was trained with, and a line on each that is
+    left out.
+
+    Args:
+        most: seeds of each; None = all.
 
     Raises:
         UnusableWeights: weights that are there cannot be used.
     """
     machine = machine or Machine.fastest()
-    methods: list[Method] = []
+    methods: dict[str, list[Method]] = {}
     left_out: list[str] = []
     for name in names:
-        line = missing(name, folder)
-        if line is None and name == "caught-head":  # the file is there for VPT-TOB's sake
-            try:
-                methods.append(METHODS[name].load(name, folder, machine))
-            except UnusableWeights as error:
-                line = f"{name} left out: {error}; `vantage {METHODS[name].training[0]}` makes one"
-        elif line is None:
-            methods.append(METHODS[name].load(name, folder, machine))
-        if line is not None:
+        if line := missing(name, folder):
             left_out.append(line)
+            continue
+        row = METHODS[name]
+        found, without = trainings_of(row.files, folder)
+        left_out += [line for line in without if line not in left_out]
+        try:
+            loaded = [row.load(name, training.files, machine) for training in found[:most]]
+        except UnusableWeights as error:
+            if name != "caught-head":
+                raise
+            left_out.append(f"{name} left out: {error}; `vantage {row.training[0]}` makes one")  # it is there for VPT-TOB's sake
+            continue
+        if loaded:
+            methods[name] = loaded
+        else:
+            left_out.append(f"{name} left out: no {row.files[1]} in {folder} belongs to a {row.files[0]} there")
     return methods, left_out
+
+
+def load_methods(names: Iterable[str], folder: Path, machine: Machine | None = None) -> tuple[list[Method], list[str]]:
+    """Return the methods whose weights are in a folder, of one seed each, as `load_trainings`."""
+    methods, left_out = load_trainings(names, folder, machine, most=1)
+    return [method for (method,) in methods.values()], left_out

@@ -5,25 +5,24 @@ from __future__ import annotations
 import json
 import shlex
 import shutil
-import signal
-import sys
 import time
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Literal
 
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
 
+from learning.methods.trainings import RELEASED as RELEASED_WEIGHTS
+from learning.reproduce.page import PAGES
 from learning.reproduce.presets import PRESETS, RELEASED
 from learning.reproduce.runner import Progress, Runner, minutes, tail
 from learning.reproduce.stages import Machine, stages_of
 from vantage.errors import UserError
+from vantage.output import complete, write_complete
 
-WEIGHTS = Path(__file__).resolve().parents[2] / "weights"
 TOLD_EVERY = 60.0  # s between lines where the output is no terminal
 
 
@@ -69,22 +68,15 @@ def main(settings: ReproduceSettings) -> int:
         return 0
     where = "one GPU" if machine.gpu else f"{machine.cores} cores"
     display.console.print(f"reproduction `{settings.preset}` in {folder}/: {len(stages)} stages on {where}")
-    signal.signal(signal.SIGTERM, _interrupt)
-    try:
-        with display:
-            complete = runner.run()
-    except KeyboardInterrupt:
-        print("interrupted; the same command goes on from here", file=sys.stderr)
-        return 130
+    with display:
+        whole = runner.run()
     states = Counter(runner.progress.state.values())
-    if not complete:
+    if not whole:
         failed = ", ".join(name for name, state in runner.progress.state.items() if state == "failed")
-        print(
-            f"{states['failed']} stages failed ({failed}), {states['blocked']} could not begin. The logs are in {folder}/logs/; "
-            "mend what they say, then the same command goes on: what is done is kept.",
-            file=sys.stderr,
+        raise StagesFailed(
+            f"failed: {failed}; {states['blocked']} could not begin. The logs are in {folder}/logs/; mend what they say, then "
+            "the same command goes on: what is done is kept"
         )
-        return 1
     kept = f"{states['kept']} stages were done before, " if states["kept"] else ""
     elapsed = minutes(time.monotonic() - runner.progress.began)
     display.console.print(f"{kept}{states['done'] + states['taken']} made now, in {elapsed}. The page: {folder / 'results.md'}")
@@ -92,6 +84,10 @@ def main(settings: ReproduceSettings) -> int:
         publish(folder, Path())
         display.console.print("published: docs/results.md, docs/figures/, docs/results/")
     return 0
+
+
+class StagesFailed(UserError):
+    """Some stages failed; the text names them."""
 
 
 class Refusal(UserError, ValueError):
@@ -106,7 +102,7 @@ def given_weights(settings: ReproduceSettings, folder: Path) -> list[Path]:
     """
     groups = {group.name for group in PRESETS[settings.preset].groups}
     places = []
-    released = (f"{RELEASED.name}={WEIGHTS}",) if RELEASED.name in groups else ()
+    released = (f"{RELEASED.name}={RELEASED_WEIGHTS}",) if RELEASED.name in groups else ()
     for gift in (*released, *settings.given):
         group, _, source = gift.partition("=")
         if group not in groups:
@@ -126,22 +122,18 @@ def given_weights(settings: ReproduceSettings, folder: Path) -> list[Path]:
 
 
 def publish(folder: Path, root: Path) -> None:
-    """Copy page, figures and results of a reproduction into docs/ of a checkout."""
+    """Copy page, figures and results of a reproduction into docs/ of a checkout, in place of those that are there."""
     docs = root / "docs"
     for part, endings in (("figures", ("*.png", "*.json")), ("results", ("*.json", "*.md"))):
-        target = docs / part
-        shutil.rmtree(target, ignore_errors=True)
-        target.mkdir(parents=True)
-        for path in sorted(path for ending in endings for path in (folder / part).glob(ending)):
-            if path.suffix == ".json":  # without indentation a third of the size
-                (target / path.name).write_text(json.dumps(json.loads(path.read_text()), separators=(",", ":")) + "\n")
-            else:
-                shutil.copy2(path, target / path.name)
-    shutil.copy2(folder / "results.md", docs / "results.md")
-
-
-def _interrupt(number: int, frame: FrameType | None) -> None:
-    raise KeyboardInterrupt
+        with complete(docs / part) as target:
+            target.mkdir()
+            for path in sorted(path for ending in endings for path in (folder / part).glob(ending)):
+                if path.suffix == ".json":  # without indentation a third of the size
+                    (target / path.name).write_text(json.dumps(json.loads(path.read_text()), separators=(",", ":")) + "\n")
+                else:
+                    shutil.copy2(path, target / path.name)
+    for page in PAGES:
+        write_complete(docs / page, (folder / page).read_bytes())
 
 
 class Display:

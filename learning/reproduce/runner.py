@@ -16,6 +16,7 @@ from learning.reproduce.stages import Stage
 from learning.reproduce.stamps import Stamps, file_name
 
 POLL = 0.2  # s between looks at the processes
+ENDED_WITHIN = 1.0  # s that stages have to end by themselves when all are stopped
 
 
 class Process(Protocol):
@@ -31,7 +32,7 @@ Launch = Callable[[tuple[str, ...], IO[bytes], dict[str, str]], Process]
 
 
 def start_process(arguments: tuple[str, ...], output: IO[bytes], environment: dict[str, str]) -> Process:
-    """Start a `vantage` command as a process of the same interpreter."""
+    """Start a `vantage` command as a process of the same interpreter; it ends when this one does (see `vantage.cli.main`)."""
     command = [sys.executable, "-m", "vantage.cli", *arguments]
     return subprocess.Popen(command, stdout=output, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, env=environment)
 
@@ -208,9 +209,10 @@ class Runner:
     def _stop_all(self) -> None:
         for running in self.progress.running:
             running.process.terminate()
+        deadline = time.monotonic() + ENDED_WITHIN
         for running in self.progress.running:
             try:
-                running.process.wait(10)
+                running.process.wait(max(0.0, deadline - time.monotonic()))
             except subprocess.TimeoutExpired:
                 running.process.kill()
                 running.process.wait()

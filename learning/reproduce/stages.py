@@ -98,7 +98,7 @@ def stages_of(name: str, preset: Preset, machine: Machine, given: Sequence[Path]
     stages += _evaluations(preset, inputs)
     judged = tuple(stage.name for stage in stages if stage.name.startswith("evaluate"))
     first = preset.groups[0].name
-    drawn = ("figures", "--data", f"@/data/{preset.main.name}/dataset", "--weights", f"@/weights/{first}")
+    drawn = ("figures", "--force", "--data", f"@/data/{preset.main.name}/dataset", "--weights", f"@/weights/{first}")
     needs = (f"gather {preset.main.name}", *inputs[first].trained, *judged)
     figures = (*drawn, "--results", "@/results", "--to", "@/figures")
     drawing = Stage("figures", figures, ("@/figures/figures.json",), needs, reads=inputs[first].given, expected=60)
@@ -106,7 +106,9 @@ def stages_of(name: str, preset: Preset, machine: Machine, given: Sequence[Path]
     everything = tuple(stage.name for stage in stages)
     experiments = tuple(sorted(EXPERIMENTS.glob("*.json")))
     page = ("reproduce", "page", "--of", "@", "--preset", name)
-    stages.append(Stage("page", page, ("@/results.md",), everything, reads=(*experiments, *given), expected=2))
+    stages.append(
+        Stage("page", page, ("@/results.md", "@/results/made.json"), everything, reads=(*experiments, *given), expected=2)
+    )
     return stages
 
 
@@ -140,20 +142,25 @@ def _gather(kind: Kind, seed: int) -> Stage:
 
 
 def _trainings(group: Group, preset: Preset, machine: Machine) -> list[Stage]:
-    stages: list[Stage] = []
     if not group.samples:
-        return stages
+        return []
+    return [stage for seed in group.seeds for stage in _trainings_with(seed, group, preset, machine)]
+
+
+def _trainings_with(seed: int, group: Group, preset: Preset, machine: Machine) -> list[Stage]:
+    stages: list[Stage] = []
     kind = (group.kind or preset.main).name
     data, weights = f"@/data/{kind}/dataset", f"@/weights/{group.name}"
     for model in group.models:
-        name, path = f"train {group.name}/{model}", f"{weights}/{model}.safetensors"
-        products = (path, f"{weights}/{model}.json", f"{weights}/{model}.md")
-        workspace = f"@/runs/{group.name}/{model}"
+        stem = seeded(model, seed, group)
+        name, path = f"train {group.name}/{stem}", f"{weights}/{stem}.safetensors"
+        products = (path, f"{weights}/{stem}.json", f"{weights}/{stem}.md")
+        workspace = f"@/runs/{group.name}/{stem}"
         drop = () if group.drop is None else ("--drop", f"{group.drop:g}")
         batch = () if group.batch is None else ("--batch", str(group.batch))
         plain = ("--head-weight", "0", "--judge-weight", "0") if group.plain and model in VIEW_MODELS else ()
         size = ("--samples", str(group.samples), *batch, *drop, *plain)
-        common = ("--data", data, *size, "--to", path, "--workspace", workspace)
+        common = ("--data", data, *size, *_seed(seed), "--to", path, "--workspace", workspace)
         speed = SPEED[group.networks] * (1 if model in VIEW_MODELS else 2.5) * (1.3 if group.samples >= 100_000 else 1)
         stages.append(
             Stage(
@@ -168,10 +175,19 @@ def _trainings(group: Group, preset: Preset, machine: Machine) -> list[Stage]:
             )
         )
         if model in VIEW_MODELS:
-            stages.append(_vpn(group, model, kind, machine))
+            stages.append(_vpn(seed, group, model, kind, machine))
     if group.vpn_on_true:
-        stages.append(_vpn(group, "vpt-tob", kind, machine, on_true=True))
+        stages.append(_vpn(seed, group, "vpt-tob", kind, machine, on_true=True))
     return stages
+
+
+def seeded(stem: str, seed: int, group: Group) -> str:
+    """Return the file stem of a training: with its seed where the group has several."""
+    return f"{stem}-seed{seed}" if len(group.seeds) > 1 else stem
+
+
+def _seed(seed: int) -> tuple[str, ...]:
+    return () if seed == 1 else ("--seeds", str(seed))
 
 
 def _network_of(model: Model, group: Group) -> tuple[str, ...]:
@@ -188,16 +204,17 @@ def vpn_stem(model: Model) -> str:
     return "vpn" if model == "vpt-tob" else f"{model}-vpn"
 
 
-def _vpn(group: Group, model: Model, kind: str, machine: Machine, on_true: bool = False) -> Stage:
+def _vpn(seed: int, group: Group, model: Model, kind: str, machine: Machine, on_true: bool = False) -> Stage:
     data, weights = f"@/data/{kind}/dataset", f"@/weights/{group.name}"
-    gathered, views = f"gather {kind}", f"train {group.name}/{model}"
-    stem = "vpn-on-true" if on_true else vpn_stem(model)
+    predictor = seeded(model, seed, group)
+    gathered, views = f"gather {kind}", f"train {group.name}/{predictor}"
+    stem = seeded("vpn-on-true" if on_true else vpn_stem(model), seed, group)
     workspace = f"@/runs/{group.name}/{stem}"
     size = () if group.vpn is None else ("--images", str(group.vpn[0]), "--epochs", str(group.vpn[1]))
     images, epochs = group.vpn or ((200_000, 2) if group.networks == "compact" else (2_000, 100))
     preset = "compact" if group.networks == "compact" else "paper"
     true = ("--on", "true") if on_true else ()
-    what = ("--views", f"{weights}/{model}.safetensors", "--data", data, "--preset", preset, *size, *true)
+    what = ("--views", f"{weights}/{predictor}.safetensors", "--data", data, "--preset", preset, *size, *true, *_seed(seed))
     return Stage(
         f"train {group.name}/{stem}",
         ("train", "vpn", *what, "--to", f"{weights}/{stem}.safetensors", "--workspace", workspace),

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from learning.reproduce.stages import Stage
+from vantage.output import write_complete
 
 
 @dataclass
@@ -89,17 +90,12 @@ class Stamps:
         earlier = begun.read_text() if begun.is_file() else stamp.key if stamp else key
         self._resumed[stage.name] = begun.is_file() and earlier == key
         self._file(stage, "json").unlink(missing_ok=True)
-        if stamp is not None and earlier == key:  # finished, but its product is gone: a finished training writes none again
-            for place in stage.scratch:
-                if place.startswith("@/runs/"):
-                    shutil.rmtree(self.path_of(place), ignore_errors=True)
         if earlier != key:
             for place in stage.scratch:
                 shutil.rmtree(self.path_of(place), ignore_errors=True)
             for product in stage.products:
                 self.path_of(product).unlink(missing_ok=True)
-        begun.parent.mkdir(parents=True, exist_ok=True)
-        begun.write_text(key)
+        write_complete(begun, key)
 
     def finish(self, stage: Stage, key: str, command: str, seconds: float, provenance: dict[str, Any]) -> None:
         """Stamp a stage whose products are there."""
@@ -108,11 +104,7 @@ class Stamps:
         self._write(stage, stamp)
 
     def _write(self, stage: Stage, stamp: Stamp) -> None:
-        file = self._file(stage, "json")
-        file.parent.mkdir(parents=True, exist_ok=True)
-        partial = file.with_suffix(".partial")
-        partial.write_text(json.dumps(asdict(stamp), indent=2) + "\n")
-        os.replace(partial, file)
+        write_complete(self._file(stage, "json"), json.dumps(asdict(stamp), indent=2) + "\n")
         self._file(stage, "begun").unlink(missing_ok=True)
 
     def take_over(self, stage: Stage, key: str, other: Path) -> bool:

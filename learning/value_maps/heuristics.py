@@ -26,7 +26,7 @@ HEURISTICS: dict[str, Callable[[Place, Place], NDArray[np.float64]]] = {
     "far from the seeker": far_from_seeker,
     "distance to seeker minus distance to hider": nearer_to_hider,
 }
-"""Name -> V per goal (lower is safer) from where the hider stands and where it sees the seeker."""
+"""Name -> V per goal, its danger, from where the hider stands and where it sees the seeker."""
 
 
 def seen_or_centre(seeker: Place | None) -> Place:

@@ -80,8 +80,9 @@ def _setting(report: dict[str, Any]) -> str:
         f"seeker `{report['seeker']}`, layout `{report['layout']}`; every goal simulated with the episode's own seed and "
         f"{report['simulations']} others; {report['goals per map']:.1f} goals a map, on {report['free goals per map']:.1f} of "
         "which the hider can truly stand. ± is the standard deviation over maps; brackets hold 95 % of the bootstrap over "
-        "starts. `binary` adds v in {0, 1} as in the paper, `expected` adds probabilities, `rounded` rounds that sum. Methods "
-        "learnt from plans of at most 200 steps and are asked about longer ones."
+        "starts. Of a method trained with several seeds the figures are means over these, followed by standard deviation and "
+        "range over seeds. `binary` adds v in {0, 1} as in the paper, `expected` adds probabilities, `rounded` rounds that sum. "
+        "Methods learnt from plans of at most 200 steps and are asked about longer ones."
     )
 
 
@@ -100,7 +101,7 @@ def _played(found: dict[str, Any], report: dict[str, Any]) -> list[str]:
         "goal chosen by",
         "steps survived",
         f"more than by {report['against']}, expected",
-        "V (lower is safer)",
+        "danger V",
         "caught by 100",
         "by 200",
         "by T",
@@ -137,7 +138,17 @@ def _percent(found: dict[str, Any]) -> str:
     if found["mean"] is None:
         return ""
     spread = f" ± {100 * found['sd']:.2f}" if found["sd"] is not None else ""
-    return f"{100 * found['mean']:.2f}{spread} [{100 * found['interval 95 %'][0]:.1f}, {100 * found['interval 95 %'][1]:.1f}]"
+    low, high = found["interval 95 %"]
+    return f"{100 * found['mean']:.2f}{spread} [{100 * low:.1f}, {100 * high:.1f}]{_over_seeds(found, 100, 1)}"
+
+
+def _over_seeds(found: dict[str, Any], scale: float, digits: int) -> str:
+    """Return how far trainings with several seeds lie apart; nothing of a method that was trained once."""
+    seeds = found.get("over seeds")
+    if seeds is None:
+        return ""
+    low, high = seeds["range"]
+    return f"; {seeds['n']} seeds ±{scale * seeds['sd']:.{digits}f} ({scale * low:.{digits}f}..{scale * high:.{digits}f})"
 
 
 def _plain(found: dict[str, Any]) -> str:
@@ -163,4 +174,4 @@ def _bracketed(found: dict[str, Any] | None, digits: int, signed: bool = False) 
         return ""
     form = f"{{:{'+' if signed else ''}.{digits}f}}"
     low, high = found["interval 95 %"]
-    return f"{form.format(found['mean'])} [{form.format(low)}, {form.format(high)}]"
+    return f"{form.format(found['mean'])} [{form.format(low)}, {form.format(high)}]{_over_seeds(found, 1, digits)}"

@@ -1,4 +1,4 @@
-"""Relative ranking accuracy (paper, Table II): do two maps agree on which of two goals is safer?"""
+"""Relative ranking accuracy (paper, Table II): do two maps agree on which of two goals is more dangerous?"""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def agreement(predicted: NDArray[np.float64], truth: NDArray[np.float64]) -> Agr
     """Return how well two maps agree. Where the truth is NaN, the goal is blocked and left out.
 
     Args:
-        predicted, truth: V, lower is safer. [121]
+        predicted, truth: V, the danger of each goal. [121]
 
     Raises:
         ValueError: a goal has a true value and no predicted one.

@@ -13,7 +13,7 @@ from learning.value_maps.heuristics import HEURISTICS, seen_or_centre
 from learning.value_maps.judged import VALUES
 from learning.value_maps.play import BEST, OUTCOMES, UNIFORM, play
 from learning.value_maps.ranking import agreement
-from learning.value_maps.summary import summary
+from learning.value_maps.summary import over_seeds, summary
 from learning.value_maps.truth import Case, counted, on_grid
 from services.planner.value_map import choose_goal
 
@@ -25,7 +25,7 @@ VIEW_ORACLE_MAP = "view oracle"
 ROUNDED = "rounded"
 
 Maps = dict[str, NDArray[np.float64]]
-"""Predictor -> value maps [S, H, 121] of S starts at H horizons."""
+"""Predictor -> value maps [S, H, 121] of S starts at H horizons; [K, S, H, 121] of a method that was trained with K seeds."""
 
 
 def mean_of(simulations: int) -> str:
@@ -128,17 +128,21 @@ def ranking(
     )
     found: dict[str, Any] = {str(horizon): {} for horizon in horizons}
     for truth, true_maps in ground_truths(cases, horizons).items():
-        measured: dict[str, dict[str, NDArray[np.float64]]] = {}  # predictor -> measure -> [H, S]
+        measured: dict[str, dict[str, NDArray[np.float64]]] = {}  # predictor -> measure -> [K, H, S]
         for name, predicted in {**with_rounded(maps), **references(cases, horizons, truth)}.items():
             table = [
-                [asdict(agreement(predicted[s, h], true_maps[s, h] + mask[s])) for s in range(len(cases))]
-                for h in range(len(horizons))
+                [
+                    [asdict(agreement(each[s, h], true_maps[s, h] + mask[s])) for s in range(len(cases))]
+                    for h in range(len(horizons))
+                ]
+                for each in by_seed(predicted)
             ]
-            measured[name] = {key: np.array([[cell[key] for cell in row] for row in table], float) for key in table[0][0]}
+            keys = table[0][0][0]
+            measured[name] = {key: np.array([[[c[key] for c in row] for row in rows] for rows in table], float) for key in keys}
         for h, horizon in enumerate(horizons):
             found[str(horizon)][truth] = {
                 name: {
-                    key: _measure(values[h], measured.get(reference_of(name, against), {}).get(key), values[0], h, key, seed)
+                    key: _measure(values, measured.get(reference_of(name, against), {}).get(key), h, key, seed)
                     for key, values in measures.items()
                 }
                 for name, measures in measured.items()
@@ -146,20 +150,25 @@ def ranking(
     return found
 
 
+def by_seed(values: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return the maps of a predictor by training seed. [K, S, H, 121]"""
+    return values if values.ndim == 4 else values[None]
+
+
 def _measure(
-    values: NDArray[np.float64],  # [S]
-    reference: NDArray[np.float64] | None,  # [H, S]
-    at_first_horizon: NDArray[np.float64],  # [S]
+    values: NDArray[np.float64],  # [K, H, S]
+    reference: NDArray[np.float64] | None,  # [K, H, S]
     h: int,
     key: str,
     seed: int,
 ) -> dict[str, Any]:
-    found: dict[str, Any] = summary(values, seed)
+    mean = values.mean(axis=0)  # over seeds; whether there is anything to measure depends on the truth alone
+    found: dict[str, Any] = {**summary(mean[h], seed), **over_seeds(values[:, h])}
     if key in COMPARED:
         if reference is not None:
-            found["difference"] = summary(values - reference[h], seed)
+            found["difference"] = summary(mean[h] - reference.mean(axis=0)[h], seed)
         if h:
-            found["change since the first horizon"] = summary(values - at_first_horizon, seed)
+            found["change since the first horizon"] = summary(mean[h] - mean[0], seed)
     return found
 
 
@@ -170,13 +179,20 @@ def played(cases: Sequence[Case], horizons: Sequence[int], maps: Maps, against: 
     choosers = {**maps, ANOTHER: simulated_maps(cases, horizons, slice(0, 1)), **imagined_maps(cases, horizons)}
     found: dict[str, Any] = {}
     for h, horizon in enumerate(horizons):
-        games = [play(case, {name: each[s, h] for name, each in choosers.items()}, horizon) for s, case in enumerate(cases)]
-        fared = {name: np.stack([game[name] for game in games]) for name in (*choosers, UNIFORM, BEST)}  # [S, 5]
+        fared = dict[str, NDArray[np.float64]]()  # [K, S, 5]
+        for k in range(max(len(by_seed(each)) for each in choosers.values())):
+            some = {name: by_seed(each)[k] for name, each in choosers.items() if k < len(by_seed(each))}
+            games = [play(case, {name: each[s, h] for name, each in some.items()}, horizon) for s, case in enumerate(cases)]
+            for name in (*some, UNIFORM, BEST) if k == 0 else some:
+                outcomes = np.stack([game[name] for game in games])[None]
+                fared[name] = np.concatenate([fared[name], outcomes]) if name in fared else outcomes
+        reference = fared.get(f"{against}, expected")
         found[str(horizon)] = {
             name: {
                 outcome: {
-                    **summary(outcomes[:, column], seed),
-                    **_difference(outcomes[:, column], fared.get(f"{against}, expected"), column, seed),
+                    **summary(outcomes[..., column].mean(axis=0), seed),
+                    **over_seeds(outcomes[..., column]),
+                    **_difference(outcomes, reference, column, seed),
                 }
                 for column, outcome in enumerate(OUTCOMES)
             }
@@ -186,7 +202,10 @@ def played(cases: Sequence[Case], horizons: Sequence[int], maps: Maps, against: 
 
 
 def _difference(values: NDArray[np.float64], reference: NDArray[np.float64] | None, column: int, seed: int) -> dict[str, Any]:
-    return {} if reference is None else {"difference": summary(values - reference[:, column], seed)}
+    """Return the difference between two choosers' outcomes [K, S, 5], paired by start."""
+    if reference is None:
+        return {}
+    return {"difference": summary(values[..., column].mean(axis=0) - reference[..., column].mean(axis=0), seed)}
 
 
 def arrays(cases: Sequence[Case], horizons: Sequence[int], maps: Maps) -> Mapping[str, NDArray[Any]]:
@@ -194,8 +213,10 @@ def arrays(cases: Sequence[Case], horizons: Sequence[int], maps: Maps) -> Mappin
 
     seeds [S], views uint8 [S, 128, 128], poses [S, 2, 3] (x, y, heading number), boxes [S, n, 7] (NaN = no box), proposed and
     free bool [S, 121], horizons [H], truth and truth_mean [S, H, 121] (V of one simulation, mean of the others), caught int32
-    [S, 121, 1 + N] (-1 survived, -2 no goal), predictors [P] (names), values [P, S, H, 121], chosen [P, S, H] (goals).
+    [S, 121, 1 + N] (-1 survived, -2 no goal), predictors [P] (names), values [P, S, H, 121], chosen [P, S, H] (goals). Of a
+    method trained with several seeds: the maps of the first.
     """
+    maps = {name: by_seed(each)[0] for name, each in maps.items()}
     boxes = np.full((len(cases), max(len(case.boxes) for case in cases), 7), np.nan)
     caught = np.full((len(cases), 121, cases[0].caught.shape[1]), -2, np.int32)
     proposed, free = np.zeros((2, len(cases), 121), np.bool_)

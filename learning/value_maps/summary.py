@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
+
+from learning.accuracy.report import spread
 
 ROUNDS = 2000
 SHARE = 0.95
@@ -37,6 +41,16 @@ def summary(values: NDArray[np.float64], seed: int = 0) -> dict[str, float | lis
         "interval 95 %": [_plain(bound) for bound in interval_of_mean(known, seed)],
         "starts": len(known),
     }
+
+
+def over_seeds(values: NDArray[np.float64]) -> dict[str, Any]:
+    """Return `over seeds` of a method that was trained with several: see `learning.accuracy.report.spread`; else nothing.
+
+    Args:
+        values: of each seed and start. [K, S]
+    """
+    known = values[:, ~np.isnan(values).any(axis=0)]
+    return {"over seeds": spread(known.mean(axis=1).tolist())} if len(values) > 1 and known.size else {}
 
 
 def _plain(number: float) -> float | None:

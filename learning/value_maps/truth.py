@@ -103,7 +103,7 @@ def cases_of(seeds: list[int], rules: Rules, seeker: str, simulations: int, work
 
 
 def counted(caught: NDArray[np.int32], horizon: int) -> NDArray[np.int64]:
-    """Return V of each simulated game: how many of the checkpoints up to a horizon find the hider caught; lower is safer.
+    """Return V of each simulated game: how many of the checkpoints up to a horizon find the hider caught: its danger.
 
     Args:
         caught: catch steps of any shape, -1 = survived.

@@ -9,7 +9,7 @@ import tyro
 from services.console.core import ConsoleCore
 from services.console.human import warm_up
 from services.console.server import PageServer, ServerSettings
-from services.console.welcome import deployment_name, table_of, welcome
+from services.console.welcome import deployment_name, welcome
 from vantage.service import BusSettings, run
 
 
@@ -20,7 +20,7 @@ class Settings:
     Examples:
         python -m services.console --folder .
         python -m services.console --folder . --port 0                   any free port; see `console.address` in the folder
-        python -m services.console --folder . --host 192.168.1.20        for others in the lab: with a token in the address
+        python -m services.console --folder . --host 192.168.1.20        for others in the lab
     """
 
     bus: tyro.conf.OmitArgPrefixes[BusSettings] = field(default_factory=BusSettings)
@@ -28,7 +28,7 @@ class Settings:
 
 
 def main(settings: Settings) -> int:
-    about = welcome(settings.bus.arena, deployment_name(settings.bus.folder), table_of(settings.bus.folder))
+    about = welcome(settings.bus.arena, deployment_name(settings.bus.folder))
     threading.Thread(target=warm_up, name="warm-up", daemon=True).start()
     server = PageServer(settings.page, settings.bus.folder)
     return run(lambda: ConsoleCore(about), "console", settings.bus, [server])

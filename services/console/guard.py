@@ -11,8 +11,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+from vantage.deployment import CONSOLE_TOKEN
+
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-TOKEN_FILE = "console.token"
 PROTOCOL = "vantage"
 """WebSocket subprotocol of the page."""
 
@@ -35,22 +36,17 @@ def host_name(host: str) -> str:
     return host.partition(":")[0]
 
 
-def needs_token(bound: str) -> bool:
-    """Return whether somebody else than this machine's own users may reach an address."""
-    return bound.lower() not in LOOPBACK
-
-
 @dataclass(frozen=True)
 class Guard:
     """Judges requests.
 
     Attributes:
         bound: the address the server listens on.
-        token: what a WebSocket must offer; empty when none is needed.
+        token: what a WebSocket must offer, also on loopback: other users of the machine reach that, too.
     """
 
     bound: str
-    token: str = ""
+    token: str
 
     def refusal(self, hosts: list[str], origins: list[str], upgrade: bool) -> str:
         """Return why a request is refused, empty when it is not.
@@ -83,8 +79,8 @@ class Guard:
         return True
 
     def admits(self, subprotocols: Iterable[str]) -> bool:
-        """Return whether a WebSocket offers the token, where one is needed, as one of its subprotocols."""
-        return not self.token or any(hmac.compare_digest(name.encode(), self.token.encode()) for name in subprotocols)
+        """Return whether a WebSocket offers the token as one of its subprotocols."""
+        return any(hmac.compare_digest(name.encode(), self.token.encode()) for name in subprotocols)
 
 
 def token_of(folder: Path) -> str:
@@ -93,7 +89,7 @@ def token_of(folder: Path) -> str:
     Raises:
         OSError: it can be neither read nor made.
     """
-    path = folder / TOKEN_FILE
+    path = folder / CONSOLE_TOKEN
     try:
         with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
             file.write(secrets.token_urlsafe(24))

@@ -10,8 +10,9 @@ from vantage.service import SECOND
 LATELY = 10 * SECOND
 """ns that a refusal is told of."""
 
-HARMLESS = frozenset({"no such file", "malformed request", "gone silent"})
-"""Reasons that are only counted: browsers ask for files that no page names, and a laptop goes to sleep."""
+HARMLESS = frozenset({"no such file", "malformed request", "gone silent", "no token", "wrong token"})
+"""Reasons that are only counted: browsers ask for files that no page names, a laptop goes to sleep, and a page that was left open
+comes back with the token of an earlier deployment, every three seconds."""
 
 
 class RefusedLately:

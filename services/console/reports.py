@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from schemas import Gap, Health
 from services.console.frames import frame
-from vantage.service import SECOND
+from vantage.service import SECOND, bad_messages
 
 SILENCE = 5 * SECOND // 2
 """ns after which a service that says something every second is judged silent."""
@@ -43,7 +43,7 @@ class Reports:
                     "age": age,
                     "uptime": health.uptime,
                     "lost": sum(each.lost for each in health.inputs),
-                    "malformed": sum(each.malformed for each in health.inputs),
+                    "bad": bad_messages(health),
                 }
             )
         return frame("services", {"services": rows})

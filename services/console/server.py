@@ -22,7 +22,7 @@ import uvicorn
 from services.console.application import FOLDER, Application
 from services.console.events import PAGE, PageEvent, Refusals
 from services.console.frames import ALL
-from services.console.guard import Guard, needs_token, token_of
+from services.console.guard import Guard, token_of
 from services.console.outbox import FORGET, OF_NO_GAME
 from services.console.protocols import protocols
 from services.console.requests import MESSAGE_LIMIT
@@ -48,7 +48,7 @@ class ServerSettings:
     """Where the page is."""
 
     host: str = "127.0.0.1"
-    """Address to listen on. Elsewhere than on this machine, pages need the token in the address that is printed."""
+    """Address to listen on. Pages need the token in the address that `vantage up` and `vantage status` print."""
     port: int = DEFAULT_PORT
     """Port to listen on; 0: any free one. Where the default is taken, the next free one."""
 
@@ -80,7 +80,7 @@ class PageServer:
     """The device `page`. `write` takes a frame with the client's number in front (see `frames`), and never waits.
 
     Args:
-        folder: of the deployment; holds `console.address` and, where one is needed, `console.token`.
+        folder: of the deployment; holds `console.address` and `console.token`.
         page: folder of what is served.
     """
 
@@ -113,17 +113,17 @@ class PageServer:
 
     @property
     def address(self) -> str:
-        """The page's address, with the token where one is needed."""
+        """The page's address, with the token."""
         host = self._settings.host
         if host in ("0.0.0.0", "::", ""):
             host = socket.gethostname()
         shown = f"[{host}]" if ":" in host else host
-        return f"http://{shown}:{self.port}/" + (f"#token={self.token}" if self.token else "")
+        return f"http://{shown}:{self.port}/#token={self.token}"
 
     def open(self) -> None:
         """Listen. Raises DeviceLost when that is not possible."""
         try:
-            self.token = token_of(self._folder) if needs_token(self._settings.host) else ""
+            self.token = token_of(self._folder)
         except OSError as error:
             raise DeviceLost(f"the token for the page cannot be kept: {error}") from error
         listening = self._listen()

@@ -20,6 +20,7 @@ class Session:
         self.hold = False
         self.pausing = False
         self._asked = False
+        self._request = ""  # name of what was asked for last
         self._wanted = 0
         self._played = 0
         self._on = 0  # number of the game that is set up or running
@@ -49,11 +50,20 @@ class Session:
             # Between games the referee does not answer it.
             self.hold = self.hold and (self.pausing or not self._waits)
         elif control.action in ("start", "stop"):
+            if self._is_idle_talk(control):
+                return
+            self._request = control.request
             self.pausing = self._waits = False
             self._asked, self._wanted, self._played = control.action == "start", control.games, 0
             self._over = self._on  # is aborted for this, and is none of these games
         elif control.action == "discard" and self._last is not None and self._last["episode"] == control.episode:
             self._last["discarded"] = True
+
+    def _is_idle_talk(self, control: Control) -> bool:
+        """Return whether the referee does nothing on a wish: a start that it knows, or a stop of games that are not played."""
+        if control.action == "start":
+            return control.request != "" and control.request == self._request
+        return control.request not in ("", self._request)
 
     def see(self, episode: Episode, discarded: bool) -> None:
         """Take in what the referee says of a game."""
@@ -76,6 +86,7 @@ class Session:
         restarted = self._referee not in (None, process)
         if restarted:
             self._asked = self._waits = self.hold = self.pausing = False
+            self._request = ""
         self._referee = process
         return restarted
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import hashlib
-import os
 from pathlib import Path
 from typing import Any
 
+from schemas import ROBOTS
 from services.console.prediction import HORIZONS
 from services.console.requests import (
     GAMES_LIMIT,
@@ -18,11 +17,12 @@ from services.console.requests import (
     STEPS_LIMIT,
 )
 from vantage.deployment import DEPLOYMENT_NAME
-from vantage.perception.palette import PALETTE
+from vantage.perception.palette import OTHER, PALETTE, view_palette
 from vantage.world import arena
 from vantage.world.camera import Camera
 
-PALETTE_NAMES = ("not visible", "free", "boundary", "own robot", "other robot")
+PALETTE_NAMES = ("not visible", "free", "boundary", *ROBOTS)
+"""What the colours of the hider's state images mean; each robot has one colour in every picture, whoever looks."""
 
 
 def deployment_name(folder: Path) -> str:
@@ -33,15 +33,9 @@ def deployment_name(folder: Path) -> str:
         return ""
 
 
-def table_of(folder: Path) -> str:
-    """Return what tells the deployment in this folder from every other one, also after a restart: ports change hands."""
-    return hashlib.sha256(os.fsencode(folder.resolve())).hexdigest()[:16]
-
-
-def welcome(arena_name: str, deployment: str, table: str = "") -> dict[str, Any]:
+def welcome(arena_name: str, deployment: str) -> dict[str, Any]:
     """Return the fields of the frame `welcome` but for the client's number. Lengths in m, angles in rad."""
     return {
-        "table": table,
         "deployment": deployment,
         "arena": arena_name,
         "size": arena.ARENA_SIZE,
@@ -50,9 +44,9 @@ def welcome(arena_name: str, deployment: str, table: str = "") -> dict[str, Any]
         "robot_radius": arena.ROBOT_RADIUS,
         "catch_distance": arena.CATCH_DISTANCE,
         "field_of_view": Camera().horizontal_fov,
-        "palette": PALETTE.tolist(),
+        "palettes": {robot: view_palette(robot).tolist() for robot in ROBOTS},
         "palette_names": PALETTE_NAMES,
-        "robot_colors": {"hider": arena.HIDER_COLOR, "seeker": arena.SEEKER_COLOR},
+        "robot_colors": arena.ROBOT_COLORS,
         "seekers": SEEKERS,
         "layouts": LAYOUTS,
         "horizons": HORIZONS,
@@ -65,4 +59,4 @@ def welcome(arena_name: str, deployment: str, table: str = "") -> dict[str, Any]
     }
 
 
-assert len(PALETTE_NAMES) == len(PALETTE)
+assert len(PALETTE_NAMES) == len(PALETTE) == OTHER + 1

@@ -78,8 +78,10 @@ class Wheel:
         if control.action == "resume":
             # In the set-up the referee confirms no pause: the next one without a driver has to be asked for again.
             self.pause_asked = False
-        elif control.action == "start" and control.players.hider != HUMAN:
-            self.take(NOBODY)
+        elif control.action in ("start", "stop"):
+            self.pause_asked = False
+            if control.action == "start" and control.players.hider != HUMAN:
+                self.take(NOBODY)
 
     def see(self, episode: Episode, another: bool, now: int) -> None:
         """Take in what the referee says of a game; `another`: it is not the one it spoke of last."""

@@ -21,7 +21,7 @@ def make_core(settings: PredictorSettings) -> PredictorCore:
     """Load the weights and compute one batch, so that the first request does not wait for it.
 
     Raises:
-        CannotStart: torch is not installed, or the weights cannot be used.
+        CannotStart: torch is not installed, the weights cannot be used, or what they answer is not a number.
     """
     try:
         from vantage.networks.inference import Inference
@@ -34,6 +34,8 @@ def make_core(settings: PredictorSettings) -> PredictorCore:
         raise CannotStart(str(error)) from None
     core = PredictorCore(networks, settings)
     core.warm_up()
+    if core.trouble:
+        raise CannotStart(f"{settings.weights}: {core.trouble}")
     return core
 
 

@@ -158,6 +158,8 @@ class PredictorCore:
             rows += [(at + query - job.done, job, query) for query in job.views if job.done <= query < job.done + share]
             at += share
         caught, views = self.networks.answer(np.array([row for row, _, _ in rows], np.int64))
+        if not np.isfinite(caught[:at]).all():
+            raise FloatingPointError("their answer holds numbers that are not finite, so the weights are no good: train again")
         for view, (_, job, query) in zip(views, rows, strict=True):
             job.views[query] = view.tobytes()
         at = 0

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
-from schemas import Robot
-from vantage.log.appearance import Appearance, Color
-from vantage.perception.palette import DANGER, PALETTE, PALETTE_NAMES
-from vantage.world.arena import ARENA_SIZE, HIDER_COLOR, ROBOT_HEIGHT, ROBOT_RADIUS, SEEKER_COLOR
+from schemas import ROBOTS
+from vantage.log.appearance import Appearance
+from vantage.perception.palette import DANGER, PALETTE, PALETTE_NAMES, view_for_people, view_palette
+from vantage.world.arena import ARENA_SIZE, ROBOT_COLORS, ROBOT_HEIGHT, ROBOT_RADIUS
 
 
 def arena_appearance() -> Appearance:
-    """Return the looks that the rest of the house uses: the state images' palette, the robots' own size and colours."""
-    colors: dict[Robot, Color] = {"hider": HIDER_COLOR, "seeker": SEEKER_COLOR}
-    return Appearance(PALETTE, PALETTE_NAMES, DANGER, ROBOT_RADIUS, ROBOT_HEIGHT, colors, ARENA_SIZE)
+    """Return the looks that the rest of the house uses: the state images' palettes, the robots' own size and colours."""
+    return Appearance(
+        palette=PALETTE,
+        palette_names=PALETTE_NAMES,
+        view_palettes={robot: view_palette(robot) for robot in ROBOTS},
+        predicted_view=lambda view: view_for_people(view, "seeker"),
+        danger=DANGER,
+        robot_radius=ROBOT_RADIUS,
+        robot_height=ROBOT_HEIGHT,
+        robot_colors=ROBOT_COLORS,
+        arena_size=ARENA_SIZE,
+    )

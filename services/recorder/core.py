@@ -4,23 +4,31 @@ from __future__ import annotations
 
 import hashlib
 import json
+import logging
 import os
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from datetime import datetime
 from pathlib import Path
+from typing import Literal
 
 from schemas import TOPICS, Gap, MalformedMessage
 from services.recorder.appearance import arena_appearance
 from services.recorder.declaration import DECLARATION
 from vantage.bus import Lost, Sample
 from vantage.log import LogWriter, RunMetadata, source_commit
-from vantage.log.part import Compression
+from vantage.log.compression import Compression
 from vantage.log.viewer import Viewer
 from vantage.service import Publish, Received, Send
 
+logger = logging.getLogger("vantage")
+
 FLUSH_PERIOD = 1_000_000_000
 """ns: what a crash costs at most."""
+DISPLACED_LASTS = 10 * FLUSH_PERIOD
+"""ns that health repeats that a log file was deleted or moved."""
+MODES = {"owner": (0o600, 0o700), "group": (0o640, 0o750), "everyone": (0o644, 0o755)}
+"""Who may read -> modes of new files and folders."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +49,8 @@ class RecorderSettings:
     """Begin a new part (NAME_001.mcap) at this size."""
     split_minutes: float | None = None
     """Begin a new part after this time."""
+    readable_by: Literal["owner", "group", "everyone"] = "group"
+    """Who may read new logs (and list new folders): logs may hold names of people who played. Your umask may narrow it."""
 
 
 def log_path(folder: Path, arena: str, now: int) -> Path:
@@ -65,18 +75,14 @@ class RecorderCore:
     declaration = DECLARATION
 
     def __init__(self, settings: RecorderSettings, arena: str, deployment: str, now: int) -> None:
-        """Open the log.
+        """Open the log: as soon as there is room for it, when the disk refuses now.
 
         Args:
             settings: where and how.
             arena: name of the arena.
             deployment: the text of the deployment's configuration, empty when there is none.
             now: ns since the Unix epoch.
-
-        Raises:
-            OSError: the folder cannot be made, or the file not be written.
         """
-        settings.logs.mkdir(parents=True, exist_ok=True)
         configuration = json.dumps({"recorder": asdict(settings), "deployment": deployment}, default=os.fspath)
         metadata = RunMetadata(
             commit=source_commit(),
@@ -85,6 +91,7 @@ class RecorderCore:
             arena=arena,
             started=now,
         )
+        file_mode, folder_mode = MODES[settings.readable_by]
         self.writer = LogWriter(
             log_path(settings.logs, arena, now),
             metadata,
@@ -92,13 +99,21 @@ class RecorderCore:
             split_bytes=None if settings.split_megabytes is None else int(settings.split_megabytes * 1e6),
             split_seconds=None if settings.split_minutes is None else 60 * settings.split_minutes,
             viewer=Viewer(arena_appearance(), settings.viewer_rate).translate if settings.viewer else None,
+            keep_going=True,
+            file_mode=file_mode,
+            folder_mode=folder_mode,
         )
         self._flush_at = now + FLUSH_PERIOD
+        self._announced: dict[tuple[str, str], int] = {}
+        self._flushed = False  # since losses were announced
+        self._displaced, self._displaced_until = "", 0
+        self._logged = ""
+        self._log_trouble()
 
     @property
     def trouble(self) -> str:
         """What keeps the recorder from recording, for health; empty when nothing does."""
-        return self.writer.error or ""
+        return self.writer.error or self._displaced
 
     def step(self, received: Received, now: int) -> Sequence[Send]:
         """Write a message, note a loss; and whatever wakes it, flush when it is time.
@@ -106,17 +121,19 @@ class RecorderCore:
         Raises:
             MalformedMessage: the bytes are recorded, but are no message of their topic.
         """
+        sends: list[Send] = []
         try:
             if isinstance(received, Sample):
                 self._write(received, now)
             elif isinstance(received, Lost):
                 self.writer.gap(received.key, received.publisher, received.missed, log_time=now)
-                return [Publish("gap", Gap(stamp=now, key=received.key, publisher=received.publisher, missed=received.missed))]
-            return []
+                sends.append(_gap(received.key, received.publisher, received.missed, now))
         finally:
             if now >= self._flush_at:
                 self._flush_at = now + FLUSH_PERIOD
                 self.writer.flush(wait=False)
+                self._look_at_writer(now)
+        return sends + self._new_losses(now) if self._flushed else sends
 
     def wake_at(self) -> int | None:
         """The next flush."""
@@ -127,6 +144,32 @@ class RecorderCore:
         self.writer.close()
         if not self.writer.message_count:
             self.writer.part.unlink(missing_ok=True)
+
+    def _look_at_writer(self, now: int) -> None:
+        if self.writer.displaced and self._displaced_until == 0:
+            self._displaced, self._displaced_until = self.writer.displaced, now + DISPLACED_LASTS
+            self.writer.displaced = ""
+        elif now >= self._displaced_until:
+            self._displaced, self._displaced_until = "", 0
+        self._log_trouble()
+        self._flushed = True
+
+    def _log_trouble(self) -> None:
+        """Put a new trouble, and its end, into the service's own log: not each count of what was dropped."""
+        trouble = self.trouble.partition("; messages dropped")[0]
+        if trouble != self._logged:
+            logger.warning("recorder: %s", self.trouble or "the log is being written again")
+            self._logged = trouble
+
+    def _new_losses(self, now: int) -> list[Send]:
+        """Return a gap for every topic and publisher of which the disk has refused messages since the last call."""
+        self._flushed = False
+        dropped = self.writer.dropped
+        if sum(dropped.values()) == sum(self._announced.values()):
+            return []
+        lost = {name: count - self._announced.get(name, 0) for name, count in dropped.items()}
+        self._announced = dict(dropped)
+        return [_gap(*name, missed, now) for name, missed in lost.items() if missed]
 
     def _write(self, sample: Sample, now: int) -> None:
         topic = TOPICS.get(sample.key)
@@ -151,3 +194,7 @@ class RecorderCore:
         )
         if trouble is not None:
             raise trouble
+
+
+def _gap(key: str, publisher: str, missed: int, now: int) -> Publish:
+    return Publish("gap", Gap(stamp=now, key=key[:200], publisher=publisher[:200], missed=missed))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from schemas import REASON_LIMIT, Health
+from vantage.printable import shortened
+from vantage.service import TOO_SLOW
 
 SHARE = 110
 """Letters of a reason that one service's troubles may take."""
@@ -32,8 +34,12 @@ class Troubles:
     def blame(self, reason: str, alive: Collection[str]) -> str:
         """Return a reason with who is not alive, and what those who embody the robots last said: they owe the answer."""
         troubles = [f"{names.replace('|', ' or ')} is not alive" for names in self.missing(alive)]
-        for service, trouble in self._said.items():
-            if trouble and service in alive:
-                said = f"{service}: {trouble}"
-                troubles.append(said if len(said) <= SHARE else said[: SHARE - 3] + "...")
-        return "; ".join([reason, *troubles])[:REASON_LIMIT]
+        said = {service: trouble for service, trouble in self._said.items() if trouble}
+        told = [service for service, trouble in said.items() if service in alive or TOO_SLOW in trouble]
+        told.sort(key=lambda service: TOO_SLOW not in said[service])
+        troubles += [shortened(f"{service}: {said[service]}", SHARE) for service in told]
+        return shortened("; ".join([reason, *troubles]), REASON_LIMIT)
+
+    def too_slow(self) -> bool:
+        """Return whether a service says that this machine is too slow for it."""
+        return any(TOO_SLOW in trouble for trouble in self._said.values())

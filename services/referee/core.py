@@ -2,7 +2,13 @@
 
 What people ask for (`control`):
 
-* `start`, `stop`: abort the game under way; games are played as asked, or no more.
+* `start`: aborts the game under way; games are played as asked. Its `request` is a random name of these games: they carry it as
+  `Episode.request`, by which whoever asked knows them, whatever their numbers, seeds and times; and a request that comes again
+  (its sender saw no game, or the referee was restarted) starts nothing if it is known. Games with an `owner` belong to that
+  participant: when it leaves the bus and is not back within `owner_patience`, the referee publishes a `stop` of their request,
+  with the reason, and obeys it like any other. Games without an owner go on until they are played or stopped.
+* `stop`: aborts the game under way, and none follows. With a `request` it stops the games of that request only: a late one does
+  not stop the games that somebody else has asked for since. Its `reason` becomes that of the aborted game.
 * `pause` in a running game: said at once (`Episode`, `paused`). The step under way is finished, with the usual patience, and the
   catch judged; then there is no tick until `resume`, which is said too. In the set-up: the robots come to their starts, and the
   game begins (`running`, `paused`) without its first tick. Between games: the next one is not set up; nothing is said. A game
@@ -15,6 +21,7 @@ What people ask for (`control`):
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, cast
@@ -22,8 +29,10 @@ from typing import Any, cast
 from schemas import ROBOTS, Command, Control, Health, Layout, Pose, Robot, Tick
 from services.referee import reasons
 from services.referee.blame import Troubles
-from services.referee.declaration import DECLARATION
+from services.referee.declaration import DECLARATION, WORLD
 from services.referee.drivers import HUMAN, HiderDrivers
+from services.referee.owner import Owner
+from services.referee.patience import Patience
 from services.referee.phase import Phase
 from services.referee.series import GamePhase, Series
 from services.referee.settings import RefereeSettings
@@ -31,6 +40,12 @@ from vantage.service import SECOND, Arrived, Changed, Publish, Received, Send, U
 from vantage.world.arena import CATCH_TOLERANCE
 
 __all__ = ["RefereeCore", "RefereeSettings"]
+
+KNOWN_REQUESTS = 256
+"""Requests that are remembered, so that none is played twice."""
+SET_UP_SPACING = SECOND // 10
+"""ns between the set-ups of games that are replaced before the world has answered: however often games are asked for, the world
+has no backlog of set-ups."""
 
 
 class RefereeCore:
@@ -49,17 +64,22 @@ class RefereeCore:
         self._poses: dict[str, Pose] = {}
         self._commanded: set[str] = set()
         self._ticked_at = 0
+        self._commanded_at = 0  # when both commands of the step had come
         self._due = 0  # when the next tick comes
         self._deadline = 0  # of the commands
         self._held = False  # paused
         self._drivers = HiderDrivers(self._settings.required, int(self._settings.driver_patience * SECOND))
         self._driver_until: int | None = None  # until when the set-up waits for who drives the hider
         self._set_up_at = 0
+        self._unanswered = False  # the last game was given up before the world had set it up
         self._listening_since: int | None = None
         self._troubles = Troubles(self._settings.required)
+        self._patience = Patience(int(self._settings.outage_patience * SECOND))
+        self._owner = Owner(int(self._settings.owner_patience * SECOND))
+        self._known: deque[str] = deque(maxlen=KNOWN_REQUESTS)
 
     def wake_at(self) -> int | None:
-        return self._wake
+        return min((time for time in (self._wake, self._owner.gone_at) if time is not None), default=None)
 
     def step(self, received: Received, now: int) -> Sequence[Send]:
         if isinstance(received, Arrived):
@@ -82,24 +102,65 @@ class RefereeCore:
             return ()
         if isinstance(received, Changed):
             (self._alive.add if received.alive else self._alive.discard)(received.service)
+            self._owner.change(received.service, received.alive, now)
+            if received.service in WORLD:
+                self._patience.change(received.service, received.alive, now)
             return self._begin_if_possible(now) if self._phase is Phase.IDLE else ()
         if isinstance(received, Woken):
-            return self._on_time(now)
+            return [*self._stop_for_owner(now), *self._on_time(now)]
         return ()
 
+    def _stop_for_owner(self, now: int) -> Sequence[Send]:
+        """Stop the games of a participant that has left the bus, by the message that everybody hears who listens to wishes."""
+        if self._owner.gone_at is None or now < self._owner.gone_at:
+            return ()
+        self._owner.end()
+        return (self._stop_of(reasons.OWNER_GONE, now),)
+
+    def _stop_of(self, reason: str, now: int) -> Publish:
+        """Return the message by which the referee stops the games that it plays, so that everybody hears of it."""
+        return Publish("control", Control(stamp=now, action="stop", request=self._series.request, reason=reason))
+
+    def held_up(self, lag: int, now: int) -> None:
+        """Do not count `lag` ns in which the referee did not run, up to `now`, against those whom it waits for."""
+        if self._phase in (Phase.SETUP, Phase.COMMANDS, Phase.POSES):
+            self._wake = None if self._wake is None else self._wake + lag
+            self._deadline += lag
+            self._set_up_at += lag
+            self._commanded_at += lag
+            self._patience.held_up(lag)
+
+    def _slows_down(self, now: int) -> bool:
+        """Wait longer, up to a limit, for those who are late because this machine is too slow. Returns whether it does."""
+        if self._phase not in (Phase.SETUP, Phase.COMMANDS, Phase.POSES) or not self._troubles.too_slow():
+            return False
+        limit = self._settings.slow_patience
+        if self._phase is Phase.COMMANDS:
+            limit = 0.0 if self._series.players.hider == HUMAN else 0.25 * limit
+        since = self._set_up_at + int(self._settings.setup_patience * SECOND) if self._phase is Phase.SETUP else self._ticked_at
+        if now - since >= limit * SECOND:
+            return False
+        self._wake = now + SECOND // 2
+        return True
+
     def _on_time(self, now: int) -> Sequence[Send]:
-        if self._phase is Phase.LISTENING:
-            if self._listening_since is None:
-                self._listening_since = now
-                self._wake = now + int(self._settings.settle * SECOND)
-                return ()
-            return self._finish_listening(now)
+        if self._phase is Phase.LISTENING and self._listening_since is None:
+            self._listening_since = now
+            self._wake = now + int(self._settings.settle * SECOND)
+            return ()
         if self._wake is None or now < self._wake:
             return ()
         self._wake = None
+        if self._phase is Phase.LISTENING:
+            return self._finish_listening(now)
         if self._phase in (Phase.PAUSE, Phase.IDLE):
             self._phase = Phase.IDLE
             return self._begin_if_possible(now)
+        if self._phase in (Phase.SETUP, Phase.POSES) and (overdue := self._overdue_at(now)) > now:
+            self._wake = overdue
+            return ()
+        if self._slows_down(now):
+            return ()
         if self._phase is Phase.SETUP:
             return self._give_up(f"no poses {(now - self._set_up_at) / SECOND:.0f} s after the setup", now)
         if self._phase is Phase.PACING:
@@ -116,8 +177,17 @@ class RefereeCore:
             self._wait_for_poses(now)
             return (Publish("tick", Tick(stamp=now, episode=self._number, step=self._step, late=late)),)
         if self._phase is Phase.POSES:
-            return self._give_up(f"step {self._step} was not executed within {self._settings.step_patience:g} s", now)
+            waited = (now - self._commanded_at) / SECOND
+            return self._give_up(f"step {self._step} was not executed within {waited:.0f} s", now)
         return ()
+
+    def _overdue_at(self, now: int) -> int:
+        """Return when to give up waiting for poses: not while a service that owes them is away, just back, or silent."""
+        settings = self._settings
+        if self._phase is Phase.SETUP and now >= self._set_up_at + int(settings.setup_limit * SECOND):
+            return now
+        patience = settings.setup_patience if self._phase is Phase.SETUP else settings.step_patience
+        return self._patience.overdue_at(int(patience * SECOND), not self._troubles.missing(self._alive), now)
 
     def _finish_listening(self, now: int) -> Sequence[Send]:
         self._phase = Phase.IDLE
@@ -132,6 +202,7 @@ class RefereeCore:
     def _on_health(self, health: Health, now: int) -> Sequence[Send]:
         if health.service != "console":
             self._troubles.hear(health)
+            self._patience.hear(health.service, now)
             return ()
         self._drivers.hear_console(now)
         return self._begin_if_possible(now) if self._phase is Phase.IDLE else ()
@@ -149,15 +220,25 @@ class RefereeCore:
             return self._discard(control.episode, now)
         if control.action == "seek":
             raise Unexpected("seek is for the replay of a log: games go forward only")
+        if control.owner and not (control.request and control.owner in self.declaration.watches):
+            raise Unexpected(f"start: games of {control.owner} need a request, and an owner among {self.declaration.watches}")
+        if control.action == "start" and control.request in self._known:
+            return ()
+        if control.request:
+            self._known.append(control.request)
+        if control.action == "stop" and control.request not in ("", self._series.request):
+            return ()
         self._held = False
         self._driver_until = None
         sends: list[Send] = []
         if self._in_game:
-            sends.extend(self._abort(reasons.STOPPED if control.action == "stop" else reasons.REPLACED, now))
+            sends.extend(self._abort(reasons.stopped(control.reason) if control.action == "stop" else reasons.REPLACED, now))
         if control.action == "stop":
             self._series.stop()
+            self._owner.end()
         else:
             self._series.ask(control)
+            self._owner.begin(control.owner, control.owner in self._alive, now)
         if self._phase is not Phase.LISTENING:
             self._phase = Phase.IDLE
             self._wake = None
@@ -196,6 +277,9 @@ class RefereeCore:
     def _begin_if_possible(self, now: int) -> Sequence[Send]:
         if self._held or self._series.left == 0:
             return ()
+        if self._unanswered and now < self._set_up_at + SET_UP_SPACING:
+            self._wake = self._set_up_at + SET_UP_SPACING
+            return ()
         if self._troubles.missing(self._alive):
             self._driver_until = None
             return ()
@@ -213,11 +297,17 @@ class RefereeCore:
         self._poses.clear()
         self._phase = Phase.SETUP
         self._set_up_at = now
+        self._unanswered = False
+        self._patience.begin(now)
         self._wake = now + int(self._settings.setup_patience * SECOND)
         setup = self._episode("setup", now)
         if lacking:
-            self._series.stop()  # the next ones would fare no better
-            return [setup, *self._abort(lacking, now)]
+            sends = [setup, *self._abort(lacking, now)]
+            if self._series.left != 0 and self._series.request:  # the next ones would fare no better
+                sends.append(self._stop_of(lacking, now))
+            self._series.stop()
+            self._owner.end()
+            return sends
         return (setup,)
 
     def _on_pose(self, robot: str, pose: Pose, now: int) -> Sequence[Send]:
@@ -261,6 +351,8 @@ class RefereeCore:
 
     def _wait_for_poses(self, now: int) -> None:
         self._phase = Phase.POSES
+        self._commanded_at = now
+        self._patience.begin(now)
         self._wake = now + int(self._settings.step_patience * SECOND)
 
     def _tick(self, step: int, now: int) -> Sequence[Send]:
@@ -284,6 +376,7 @@ class RefereeCore:
 
     def _abort(self, reason: str, now: int) -> Sequence[Send]:
         episode = self._episode("aborted", now, reason=reason)
+        self._unanswered = self._phase is Phase.SETUP
         self._rest(now)
         return (episode,)
 
@@ -295,6 +388,8 @@ class RefereeCore:
 
     def _rest(self, now: int) -> None:
         self._held = self._held and self._series.left != 0
+        if self._series.left == 0:
+            self._owner.end()
         self._phase = Phase.PAUSE
         self._wake = now + (int(self._settings.pause * SECOND) if self._series.rules.step_period > 0 else 0)
 

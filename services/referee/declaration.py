@@ -1,8 +1,9 @@
 """What the referee hears and says."""
 
+from schemas.topics import COMMAND_LINE
 from vantage.service import Declaration
 
-WORLD = ("simulator", "tracker", "robot")
+WORLD = ("simulator", "tracker", "robot", "rehearsal")
 """Who embodies the robots, one or the other: what they say of themselves tells people why a game was aborted."""
 
 # The console says by its health that a human could drive: games of the planner go on without it, so it is not heeded.
@@ -12,6 +13,7 @@ DECLARATION = Declaration(
         *("control", "layout", "hider/pose", "seeker/pose", "hider/command", "seeker/command"),
         *(f"health/{service}" for service in (*WORLD, "console")),
     ),
-    outputs=("episode", "tick", "health/referee"),
+    outputs=("episode", "tick", "control", "health/referee"),
     heeds=("simulator|tracker", "simulator|robot|onboard", "seeker", "planner", "predictor", "recorder"),
+    watches=COMMAND_LINE,
 )

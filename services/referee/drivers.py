@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 
 from schemas import REASON_LIMIT
+from vantage.printable import shortened
 
 PLANNER, HUMAN = "planner", "human"
 """Drivers of the hider (`players.hider`) that a deployment has; any other name is a row of the table of the service `hider`."""
@@ -36,7 +37,7 @@ class HiderDrivers:
             return "" if heard or "console" in alive else "a human is to drive the hider, but no console is alive"
         if hider == PLANNER or "hider" in self._required:
             return ""
-        return f"nobody drives the hider `{hider}`; there are: {PLANNER}, {HUMAN}"[:REASON_LIMIT]
+        return shortened(f"nobody drives the hider `{hider}`; there are: {PLANNER}, {HUMAN}", REASON_LIMIT)
 
     def may_come(self, hider: str) -> bool:
         """Return whether it is worth while to wait for the driver."""

@@ -17,18 +17,20 @@ class Series:
         left: games still to begin; None: without end.
         rules: of all its games.
         players: of all its games.
+        request: name of what was asked for, which its games carry; empty: none.
     """
 
     def __init__(self, settings: RefereeSettings) -> None:
         self.left: int | None = (settings.games or None) if settings.autoplay else 0
         self.rules, self.players = settings.rules, settings.players
+        self.request = ""
         self._seed = settings.seed  # of the first game
         self._first: int | None = settings.first_episode  # None: the next game is the first
 
     def ask(self, control: Control) -> None:
         """Take in what somebody wants to be played, instead of all that was asked for before."""
         self.left = control.games or None
-        self.rules, self.players = control.rules, control.players
+        self.rules, self.players, self.request = control.rules, control.players, control.request
         self._seed, self._first = control.seed, None
 
     def stop(self) -> None:
@@ -48,4 +50,12 @@ class Series:
 
     def episode(self, number: int, phase: GamePhase, **how: Any) -> Episode:
         """Return what is said of episode `number`: what was asked for, and how it stands."""
-        return Episode(episode=number, seed=self.seed(number), phase=phase, rules=self.rules, players=self.players, **how)
+        return Episode(
+            episode=number,
+            seed=self.seed(number),
+            phase=phase,
+            rules=self.rules,
+            players=self.players,
+            request=self.request,
+            **how,
+        )

@@ -42,4 +42,11 @@ class RefereeSettings:
     driver_patience: float = 5.0
     """Seconds without a word from the console after which nobody drives a human's hider."""
     step_patience: float = 3.0
-    """Seconds to wait for the poses after a step before the game is aborted."""
+    """Seconds to wait for the poses after a step, counted while those who embody the robots are able to answer."""
+    outage_patience: float = 20.0
+    """Seconds for which a service that is away or silent in mid-game is waited for, where its answer is."""
+    owner_patience: float = 1.0
+    """Seconds within which whoever asked for games may come back to the bus, before they are stopped."""
+    slow_patience: float = 20.0
+    """Seconds to wait for them instead, and for a robot's command a quarter of it, while a service says that this machine is too
+    slow: games slow down then."""

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import tyro
 
+from services.rehearsal.cameras import Cameras
 from services.rehearsal.core import LINES, CameraSettings, RehearsalCore
 from services.rehearsal.devices import Faults, Line, Truth
 from services.rehearsal.preparation import TableSettings, calibrate_and_write, prepare_table
@@ -33,8 +34,12 @@ class Settings:
     """CSV file for where the robots truly are, for studies of accuracy; nobody else is told."""
 
 
-def make_core(settings: Settings) -> RehearsalCore:
-    """Raises CannotStart, ImpossibleLayout."""
+def make_table(settings: Settings) -> tuple[RehearsalCore, Cameras]:
+    """Return the table and what draws its pictures.
+
+    Raises:
+        CannotStart, ImpossibleLayout: nobody could play on it.
+    """
     try:
         prepared = prepare_table(settings.table)
         calibrate_and_write(prepared, settings.bus.folder, settings.cameras.seed)
@@ -42,7 +47,8 @@ def make_core(settings: Settings) -> RehearsalCore:
         raise CannotStart(str(error)) from error
     world = World(prepared.obstacles, prepared.starts, settings.cameras.seed, settings.world)
     cameras = replace(settings.cameras, truth=settings.truth_file is not None)
-    return RehearsalCore(world, prepared.obstacles, prepared.scene, prepared.cameras, cameras)
+    drawn = Cameras(prepared.obstacles, prepared.scene, prepared.cameras, cameras.seed)
+    return RehearsalCore(world, cameras), drawn
 
 
 def main(settings: Settings) -> int:
@@ -51,7 +57,13 @@ def main(settings: Settings) -> int:
     devices: list[Device] = [faults, *(Line(name, folder / f"{robot}.tty", faults) for name, robot in LINES.items())]
     if settings.truth_file is not None:
         devices.append(Truth(settings.truth_file))
-    return run(lambda: make_core(settings), "rehearsal", settings.bus, devices)
+
+    def make_core() -> RehearsalCore:
+        core, cameras = make_table(settings)
+        devices.append(cameras)
+        return core
+
+    return run(make_core, "rehearsal", settings.bus, devices)
 
 
 if __name__ == "__main__":

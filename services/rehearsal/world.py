@@ -15,7 +15,7 @@ from vantage.rehearsal.firmware import TICK, Firmware, FirmwareSettings
 from vantage.world.layout import boxes_array
 
 LONGEST_LEAP = 1_000_000_000
-"""ns: a world that was held up for longer (a suspended machine) goes on from now."""
+"""ns that a world which was held up catches up with; after longer (a suspended machine) it goes on from now, as if asleep."""
 
 
 @dataclass(frozen=True)
@@ -54,15 +54,20 @@ class World:
             for index, robot in enumerate(ROBOTS)
         }
         self._now: int | None = None
+        self._slept = 0  # ns, which the robots' clocks do not show
 
     def feed(self, robot: str, data: bytes, now: int) -> None:
         """Hand a robot what came over its line at `now` (ns)."""
-        self.firmware[robot].feed(data, now)
+        self.firmware[robot].feed(data, now - self._slept)
 
     def advance(self, now: int) -> dict[str, bytes]:
         """Let time pass up to `now` (ns); return what each robot has sent over its line meanwhile."""
-        if self._now is None or now - self._now > LONGEST_LEAP:
+        if self._now is None:
             self._now = now - TICK
+        now -= self._slept
+        if now - self._now > LONGEST_LEAP:
+            self._slept += now - self._now
+            now = self._now
         said = dict.fromkeys(ROBOTS, b"")
         while self._now < now:
             until = min(self._now + TICK, now)

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from enum import Enum
 
+import msgspec
+
 from schemas import PRIMITIVES, ROBOTS, Command, Control, Episode, Layout, Tick, Track
 from services.robot.declaration import DECLARATION
 from services.robot.driven_robot import DrivenRobot
@@ -13,7 +15,7 @@ from services.robot.pose_estimate import Place
 from services.robot.settings import NO_PORT, RobotSettings
 from services.robot.starting import Starting
 from services.robot.stepping import Stepping
-from vantage.service import SECOND, Arrived, Captured, Received, Send, Unexpected, Woken
+from vantage.service import SECOND, Arrived, Captured, Received, Send, SenderClock, Unexpected, Woken
 from vantage.world.arena import STAY
 
 _NUMBER_OF_PRIMITIVE = {name: number for number, name in enumerate(PRIMITIVES)}
@@ -37,7 +39,8 @@ class RobotCore:
         for robot in ROBOTS:
             if self._settings.port_of(robot) != NO_PORT:
                 self._robots[robot] = DrivenRobot(robot, self._settings)
-        self._tracks: dict[str, Track] = {}
+        self._tracks: dict[str, Track] = {}  # the last that showed each robot, its stamp of the own clock
+        self._clocks: dict[str, SenderClock] = {robot: SenderClock() for robot in ROBOTS}  # the tracker's, or the camera's
         self._layout: Layout | None = None
         self._episode = 0
         self._phase = _Phase.IDLE
@@ -45,6 +48,7 @@ class RobotCore:
         self._starting: Starting | None = None
         self._stepping = Stepping(self._robots, self._settings.control, self.place_of)
         self._early: dict[str, Command | Tick] = {}  # outside a game: what may belong to one that we hear of later
+        self._request = ""
         self._trouble = ""
         self._now = 0
 
@@ -59,6 +63,13 @@ class RobotCore:
         wakes: list[int | None] = [self._wake, self._starting.wake if self._starting is not None else None]
         return min((wake for wake in (*wakes, *(r.wake_at() for r in self._robots.values())) if wake is not None), default=None)
 
+    def held_up(self, lag: int, now: int) -> None:
+        """Do not count `lag` ns in which the driver did not run, up to `now`, against robots and cameras."""
+        for robot in self._robots.values():
+            robot.held_up(lag, now)
+        if self._starting is not None:
+            self._starting.held_up(lag)
+
     def step(self, received: Received, now: int) -> Sequence[Send]:
         self._now = now
         if isinstance(received, Captured):
@@ -72,7 +83,7 @@ class RobotCore:
             self._early[received.key] = message
             return ()
         if isinstance(message, Track):
-            return self._on_track(name, message, now)
+            return self._on_track(name, message, received.published, now)
         if isinstance(message, Command):
             return self._on_command(name, message, now)
         if isinstance(message, Tick):
@@ -82,7 +93,12 @@ class RobotCore:
             return self._go_on(now)
         if isinstance(message, Episode):
             return self._on_episode(message, now)
-        if isinstance(message, Control) and message.action == "start":
+        if (
+            isinstance(message, Control)
+            and message.action == "start"
+            and not (message.request and message.request == self._request)
+        ):
+            self._request = message.request  # repeated, it is not a person who asks anew after an emergency stop
             for robot in self._robots.values():
                 robot.link.asked()
             return self._go_on(now)
@@ -103,7 +119,11 @@ class RobotCore:
                 sends.extend(self._go_on(now))
         return sends
 
-    def _on_track(self, name: str, track: Track, now: int) -> Sequence[Send]:
+    def _on_track(self, name: str, track: Track, published: int, now: int) -> Sequence[Send]:
+        taken = self._clocks[name].take(track.stamp, published, now)
+        if taken is None:
+            return ()
+        track = msgspec.structs.replace(track, stamp=taken)
         if track.seen:
             self._tracks[name] = track
         if name in self._robots:
@@ -194,7 +214,7 @@ class RobotCore:
             raise Unexpected(f"{what} of episode {episode} step {step} while {self._phase.value}, step {stepping.step}")
 
     def _sighting_of(self, robot: str) -> tuple[Place, int] | None:
-        """Return where a robot is, as its tracks and its wheels tell, and when it was seen last; None when it never was."""
+        """Return where a robot is, as its tracks and its wheels tell, and when (own clock) it was seen last; None: never."""
         track = self._tracks.get(robot)
         if track is None:
             return None

@@ -41,8 +41,13 @@ class DrivenRobot:
         self.control.cancel()
         return [self._send(0.0, 0.0, now)]
 
+    def held_up(self, lag: int, now: int) -> None:
+        """Do not count `lag` ns in which the driver did not run, up to `now`: neither robot nor camera was silent then."""
+        self.link.held_up(lag)
+        self.control.held_up(lag, now)
+
     def see(self, track: Track, now: int) -> None:
-        """Take a tracked pose."""
+        """Take a tracked pose, its stamp of the own clock."""
         self.control.see(track, now)
 
     def hear(self, captured: Captured, now: int) -> tuple[list[Send], Ended | None]:

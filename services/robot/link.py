@@ -66,6 +66,7 @@ class Link:
         self._unanswered: deque[tuple[int, int]] = deque(maxlen=256)  # sequence, when sent
         self._telemetry: Telemetry | None = None
         self._heard_at: int | None = None  # telemetry
+        self._silent_since: int | None = None  # the same, less what the driver was held up
         self._sent_since_telemetry = 0
         self._offset = 0  # our clock minus the robot's, ns
         self._lately: deque[bool] = deque(maxlen=LINES)  # whether a line received was damaged
@@ -132,10 +133,17 @@ class Link:
                 measurements.append(self._measured(line, now))
         return measurements
 
+    def held_up(self, lag: int) -> None:
+        """Do not count `lag` ns in which the driver itself did not run: the robot's answers may wait to be read."""
+        self._unanswered = deque(((sequence, sent + lag) for sequence, sent in self._unanswered), maxlen=self._unanswered.maxlen)
+        if self._silent_since is not None:
+            self._silent_since += lag
+
     def silent(self, now: int) -> bool:
         """Whether the robot does not answer."""
         unanswered = len(self._unanswered) >= SILENT_LINES and now - self._unanswered[0][1] > SILENCE
-        unheard = self._sent_since_telemetry >= SILENT_LINES and (self._heard_at is None or now - self._heard_at > SILENCE)
+        since = self._silent_since
+        unheard = self._sent_since_telemetry >= SILENT_LINES and (since is None or now - since > SILENCE)
         return unanswered or unheard
 
     def opened(self, now: int) -> None:
@@ -147,7 +155,7 @@ class Link:
         self._may_clear = False
         self._unanswered.clear()
         self._sent_since_telemetry = 0
-        self._heard_at = now
+        self._heard_at = self._silent_since = now
 
     def trouble(self, now: int) -> str:
         """Return what is wrong, for people; empty when nothing."""
@@ -184,7 +192,7 @@ class Link:
         since = self._heard_at if self._heard_at is not None else now
         if now - since > SILENCE:
             self._may_clear = False  # whether the button was pressed meanwhile, nobody can tell
-        self._heard_at = now
+        self._heard_at = self._silent_since = now
         self._sent_since_telemetry = 0
         self._note(line.flags)
         self.battery = line.battery / 1000.0

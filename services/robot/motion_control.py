@@ -106,6 +106,7 @@ class MotionControl:
         self._gear = 1
         self._deadline = self._latest = 0
         self._begun = self._stepped = 0
+        self._awake = 0  # since when (ns) the driver has run without being held up
         self._pending: Result = "completed"
         self._reason = ""
         self._window: deque[tuple[Track, float, float]] = deque(maxlen=32)
@@ -139,6 +140,13 @@ class MotionControl:
             self._pending, self._reason = result, reason
             self._deadline = now + ENDING
 
+    def held_up(self, lag: int, now: int) -> None:
+        """Do not count `lag` ns in which the driver did not run, up to `now`: no time to drive, and no pictures to miss."""
+        self._awake = now
+        self._deadline += lag
+        self._latest += lag
+        self._stepped += lag
+
     def measure(self, measurement: Measurement) -> None:
         """Take what the encoders counted."""
         stamp, taken, left, right = measurement
@@ -151,7 +159,7 @@ class MotionControl:
         self._model.tell(sequence, left, right, now)
 
     def see(self, track: Track, now: int) -> None:
-        """Take a tracked pose; finds out whether the robot is stuck."""
+        """Take a tracked pose, its stamp of the own clock; finds out whether the robot is stuck."""
         self.estimate.see(track)
         turned = self.estimate.wheels_at(track.stamp) if track.seen else None
         if turned is None or self._phase in (_Phase.IDLE, _Phase.ENDING):
@@ -174,7 +182,7 @@ class MotionControl:
             return 0.0, 0.0
         place = self.estimate.place
         seen = self.estimate.seen
-        unseen = now - max(self._begun, seen or 0)
+        unseen = now - max(self._begun, self._awake, seen or 0)
         stale = seen is None or now - seen > self._control.unseen * SECOND
         if self._phase is not _Phase.ENDING and (stale or place is None):
             # The time without sight does not count, up to a limit: others wait for the end of the step.

@@ -24,6 +24,8 @@ BLUR = 0.008
 """s by which the stamp of a picture of a moving robot may be off."""
 SURPRISE = 4.0
 """Standard deviations beyond which a tracked pose contradicts the estimate; the second in a row is believed."""
+LONGEST_GAP = SECOND // 5
+"""ns between two telemetry lines beyond which nobody knows when the wheels turned in between."""
 REST_TICKS = 1
 """Ticks between two telemetry lines, up to which a wheel rests."""
 
@@ -58,7 +60,7 @@ class PoseEstimate:
     """See module.
 
     Attributes:
-        seen: stamp of the last picture that showed the robot; None before the first.
+        seen: when the last picture that showed the robot was taken, own clock, ns; None before the first.
         rest: time since which the wheels have not turned; None while they do.
         frames_at_rest: pictures of the robot since then.
     """
@@ -104,7 +106,7 @@ class PoseEstimate:
         self._past.append(_Reckoned(max(stamp, newest.stamp), *place, newest.left + left, newest.right + right))
 
     def see(self, track: Track) -> None:
-        """Take a tracked pose; one that the camera did not see changes nothing."""
+        """Take a tracked pose, its stamp of the own clock; one that the camera did not see changes nothing."""
         if not track.seen or (self.seen is not None and track.stamp <= self.seen):
             return
         if not self._past:
@@ -139,6 +141,8 @@ class PoseEstimate:
         if len(self._past) < 2 or stamp < self._past[0].stamp:
             return None
         before, after, share = self._around(stamp)
+        if max(after.stamp, stamp) - before.stamp > LONGEST_GAP:
+            return None
         return before.left + share * (after.left - before.left), before.right + share * (after.right - before.right)
 
     def _around(self, stamp: int) -> tuple[_Reckoned, _Reckoned, float]:

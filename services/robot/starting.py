@@ -33,7 +33,7 @@ class Starting:
     Attributes:
         robots: those driven from here.
         episode: whose starts are drawn, exactly as the simulator does.
-        where: where a robot was seen, and when; None when it never was.
+        where: where a robot was seen, and when by the own clock; None when it never was.
         speed: m/s of a wheel at most.
         since: when it began, ns.
         trouble: why it does not go on, for people.
@@ -59,6 +59,12 @@ class Starting:
     def starts(self) -> dict[str, Placed] | None:
         """Where the robots stand, once they do."""
         return self._starts if self._placing is not None and self._placing.done else None
+
+    def held_up(self, lag: int) -> None:
+        """Do not count `lag` ns in which the driver did not run."""
+        self._progress += lag
+        self._begun += lag
+        self.since += lag
 
     def go_on(self, layout: Layout | None, now: int) -> list[Send]:
         """Begin the next drive, if none is under way and everything for it is known."""

@@ -13,6 +13,7 @@ from services.robot.driven_robot import DrivenRobot
 from services.robot.motion_control import Ended, Target
 from services.robot.pose_estimate import Place
 from services.robot.settings import Control
+from vantage.printable import shortened
 from vantage.service import SECOND, Publish, Send
 from vantage.world.arena import BACKWARD, FORWARD, STAY
 from vantage.world.game import move_both
@@ -166,6 +167,6 @@ class Stepping:
                 heading_error=ended.heading_error,
                 elapsed=max(elapsed, 0) / SECOND,
                 battery=battery,
-                reason=ended.reason[:REASON_LIMIT],
+                reason=shortened(ended.reason, REASON_LIMIT),
             ),
         )

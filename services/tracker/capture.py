@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas import ROBOTS, ColorImage, DepthImage, Intrinsics, Message, Pose
-from vantage.service import SECOND, Publish, Send
+from vantage.service import Publish, Send
 from vantage.tracking.overhead import TrackState
 
 
@@ -32,23 +32,12 @@ class Picture(NamedTuple):
     intrinsics: Intrinsics
 
 
-OLDEST_MOTION = SECOND // 2
-"""ns that a report may take from the driver."""
-
-
-def believed(stamp: int, now: int) -> tuple[int, str]:
-    """Return when a motion that is heard now ended, ns, and what is wrong with its stamp, which is of another process's clock."""
-    if 0 <= now - stamp <= OLDEST_MOTION:
-        return stamp, ""
-    return now, f"clock of the driver is off by {(stamp - now) / SECOND:+.1f} s: let all machines keep one time (NTP)"
-
-
 @dataclass
 class StepCapture:
     """What is known of one step so far. Frames captured before `after`, when the later motion ended, do not count.
 
     Attributes:
-        after: stamp of the later motion, ns.
+        after: when the later motion had ended, own clock, ns.
     """
 
     episode: int

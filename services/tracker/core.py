@@ -15,11 +15,11 @@ import numpy as np
 import numpy.typing as npt
 
 from schemas import ROBOTS, ColorImage, DepthImage, Episode, Message, Motion, Tick, Track
-from services.tracker.capture import Picture, RawFrame, StepCapture, believed
+from services.tracker.capture import Picture, RawFrame, StepCapture
 from services.tracker.declaration import DECLARATION
 from services.tracker.table_layout import TableLayout
 from services.tracker.watch import PATIENCE_AT_REST, CameraWatch
-from vantage.service import SECOND, Arrived, Captured, Publish, Received, Send, StepJoin, Unexpected
+from vantage.service import SECOND, Arrived, Captured, Publish, Received, Send, SenderClock, StepJoin, Unexpected
 from vantage.tracking.calibration import Calibration
 from vantage.tracking.overhead import OverheadTracker, TrackState
 from vantage.tracking.rgbd import RgbdCalibration, RgbdPreparer
@@ -28,6 +28,8 @@ from vantage.tracking.table import Table
 CHECK_PERIOD = SECOND // 4
 LAYOUT_PERIOD = 2 * SECOND
 """While robots drive to their starts the layout is said again and again: each time renews the referee's patience."""
+OLDEST_MOTION = SECOND // 2
+"""ns that a driver's report may take; of one that took longer, nobody can tell when the robot came to rest."""
 RESUMING = 3 * SECOND // 10
 """A tracker that comes into a running game waits so long for the tick that tells it which step is out already."""
 
@@ -73,7 +75,7 @@ class TrackerCore:
         self._resumed = 0  # until when (ns) motions are put aside
         self._put_aside: tuple[Message, ...] | None = None
         self._ticked = (0, -1)  # episode and step of the latest tick: the step's poses are out
-        self._driver_trouble = ""
+        self._clocks: dict[str, SenderClock] = {}  # of who speaks on the bus, by key
         self._halves: dict[str, dict[type[Message], Any]] = {robot: {} for robot in ROBOTS}
         self._cameras = CameraWatch((OVERHEAD, *(f"{robot} camera" for robot in ROBOTS)), "no frame")
         self._troubles_seen: tuple[str, ...] = ()
@@ -99,25 +101,37 @@ class TrackerCore:
 
     def step(self, received: Received, now: int) -> Sequence[Send]:
         if isinstance(received, Arrived):
-            return self._on_message(received.key, received.message, now)
+            return self._on_message(received, now)
         if isinstance(received, Captured):
             return self._on_captured(received, now)
         return self._on_time(now)
 
-    def _on_message(self, key: str, message: Message, now: int) -> Sequence[Send]:
+    def held_up(self, lag: int, now: int) -> None:
+        """Do not count `lag` ns in which the tracker did not run against the cameras."""
+        self._cameras.held_up(lag)
+        self._tags.held_up(lag)
+
+    def _own_time(self, arrived: Arrived, now: int) -> int | None:
+        """Return when a message was stamped, by the own clock; None where it is not a new one."""
+        clock = self._clocks.setdefault(arrived.key, SenderClock())
+        return clock.take(arrived.message.stamp, arrived.published, now)
+
+    def _on_message(self, arrived: Arrived, now: int) -> Sequence[Send]:
+        key, message = arrived.key, arrived.message
         robot = key.partition("/")[0]
         if isinstance(message, Episode):
             return self._on_episode(message, now)
         if isinstance(message, Motion):
-            return self._on_motion(key, message, now)
+            return self._on_motion(arrived, message, now)
         if isinstance(message, Tick):
             return self._on_tick(message)
         if isinstance(message, DepthImage):
-            return self._on_half(robot, message, _depth_of(message), now)
+            return self._on_half(robot, arrived, _depth_of(message), now)
         if isinstance(message, ColorImage):
             if key == "overhead/color":
-                return self._on_overhead(_color_of(message), message.stamp, now)
-            return self._on_half(robot, message, _color_of(message), now)
+                taken = self._own_time(arrived, now)
+                return () if taken is None else self._on_overhead(_color_of(message), taken, now)
+            return self._on_half(robot, arrived, _color_of(message), now)
         return ()
 
     def _on_captured(self, captured: Captured, now: int) -> Sequence[Send]:
@@ -138,20 +152,24 @@ class TrackerCore:
         depth, color = captured.value
         return self._on_frame(name.partition(" ")[0], RawFrame(captured.stamp, depth, color), now)
 
-    def _on_half(self, robot: str, message: Message, array: Any, now: int) -> Sequence[Send]:
+    def _on_half(self, robot: str, arrived: Arrived, array: Any, now: int) -> Sequence[Send]:
         """Depth and colour of one capture travel apart: they belong together by their stamp, whatever order they come in."""
+        taken = self._own_time(arrived, now)
+        if taken is None:
+            return ()
         halves = self._halves[robot]
-        halves[type(message)] = (message.stamp, array)
+        halves[type(arrived.message)] = (arrived.message.stamp, taken, array)
         if len(halves) < 2 or halves[DepthImage][0] != halves[ColorImage][0]:
             return ()
-        return self._on_frame(robot, RawFrame(message.stamp, halves[DepthImage][1], halves[ColorImage][1]), now)
+        (_, *depth), (_, *color) = halves[DepthImage], halves[ColorImage]
+        return self._on_frame(robot, RawFrame(min(depth[0], color[0]), depth[1], color[1]), now)
 
     def _on_episode(self, episode: Episode, now: int) -> Sequence[Send]:
         known = self._episode is not None and self._episode.episode == episode.episode
         if episode.phase in ("ended", "aborted"):
             if known:
                 self._episode, self._capture, self._layout_due, self._put_aside = None, None, None, None
-                self._failure = self._driver_trouble = ""
+                self._failure = ""
             return ()
         if known and episode.phase == "running":
             return ()
@@ -164,11 +182,11 @@ class TrackerCore:
         motions = self._motions.begin(episode.episode)
         return [*sends, *self._begin_capture(motions, now)] if motions is not None else sends
 
-    def _on_motion(self, key: str, motion: Motion, now: int) -> Sequence[Send]:
-        stamp, trouble = believed(motion.stamp, now)
-        if self._episode is not None and now >= self._resumed:  # else it may be of a time when nobody listened
-            self._driver_trouble = trouble
-        motions = self._motions.add(key, msgspec.structs.replace(motion, stamp=stamp))
+    def _on_motion(self, arrived: Arrived, motion: Motion, now: int) -> Sequence[Send]:
+        ended = self._own_time(arrived, now)
+        if ended is None or now - ended > OLDEST_MOTION:
+            ended = now  # it ended before it was reported
+        motions = self._motions.add(arrived.key, msgspec.structs.replace(motion, stamp=ended))
         return () if motions is None else self._begin_capture(motions, now)
 
     def _on_tick(self, tick: Tick) -> Sequence[Send]:
@@ -278,7 +296,6 @@ class TrackerCore:
             self._calibration_trouble,
             self._failure,
             self._layout.trouble,
-            self._driver_trouble,
             *self._cameras.troubles(now, patience),
         ]
         if self._cameras.is_fresh(OVERHEAD, now, patience):

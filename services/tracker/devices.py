@@ -13,6 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from vantage.service import SECOND, DeviceLost, steady_clock
+from vantage.tracking.picture_file import open_video, read_pixels
 from vantage.tracking.video_capture import FOURCC, RATE, CameraMode, UnusableCamera, open_camera
 
 Frame = tuple[npt.NDArray[np.uint8], int]
@@ -86,9 +87,9 @@ class DrivenCamera:
 
 
 class PacedFrames:
-    """What was recorded, given out at its pace; `read` stamps a frame when its turn comes. When it has ended, that is said.
+    """A recording, given out at its pace: a frame is stamped with the time at which its turn comes. Its end is a lost device.
 
-    Subclasses say where frames come from.
+    Subclasses say where frames come from, and set `_turn` before they yield a frame that comes at a time of its own.
     """
 
     newest_only = True
@@ -98,7 +99,9 @@ class PacedFrames:
         self._source = source
         self._period = 1.0 / rate if rate > 0 else 0.0
         self._frames: Iterator[Any] | None = None
-        self._due = 0.0
+        self._next: Any = None  # the frame whose turn comes next
+        self._turn = 0.0  # when, s after the first
+        self._began = 0  # when the first frame's was, ns
         self._ended = False
 
     def frames(self) -> Iterator[Any]:
@@ -110,22 +113,29 @@ class PacedFrames:
             raise DeviceLost(f"{self.name}: {self._source} has ended")
         if not self._source.exists():
             raise DeviceLost(f"{self.name}: there is no {self._source}")
-        self._frames = self.frames()
-        self._due = time.monotonic()
+        self._frames, self._next, self._turn = self.frames(), None, 0.0
+        self._began = steady_clock()
 
     def read(self) -> tuple[Any, int] | None:
         assert self._frames is not None
-        early = self._due - time.monotonic()
+        if self._next is None:
+            self._next = next(self._frames, None)
+        if self._next is None:
+            self._ended = True
+            raise DeviceLost(f"{self.name}: {self._source} has ended")
+        due = self._began + int(self._turn * SECOND)
+        early = (due - steady_clock()) / SECOND
         if early > 0:
             time.sleep(min(early, WAIT))
             if early > WAIT:
                 return None
-        frame = next(self._frames, None)
-        if frame is None:
-            self._ended = True
-            raise DeviceLost(f"{self.name}: {self._source} has ended")
-        self._due += self._period
-        return frame, steady_clock()
+        elif early < -WAIT or not self._turn:
+            # Who cannot keep its pace goes on from now, at its pace.
+            self._began += int(-early * SECOND)
+            due = self._began + int(self._turn * SECOND)
+        frame, self._next = self._next, None
+        self._turn += self._period
+        return frame, due
 
     def write(self, data: bytes) -> None:
         raise NotImplementedError("nothing is written to a recording")
@@ -135,23 +145,25 @@ class PacedFrames:
 
 
 class VideoFile(PacedFrames):
-    """A video file, at its own rate unless told otherwise."""
+    """A video file, each frame at its own time (a video may have no rate) unless told otherwise."""
 
     def __init__(self, name: str, source: Path, rate: float | None = None) -> None:
         super().__init__(name, source, rate or 0.0)
-        self._own_rate = rate is None
+        self._own_times = rate is None
 
     def frames(self) -> Iterator[npt.NDArray[np.uint8]]:
-        capture = cv2.VideoCapture(str(self._source))
+        capture = open_video(self._source)
         try:
             if not capture.isOpened():
                 raise DeviceLost(f"{self.name}: {self._source} is no video that OpenCV reads")
-            if self._own_rate and (rate := capture.get(cv2.CAP_PROP_FPS)) > 0:
-                self._period = 1.0 / rate
+            rate, last = max(capture.get(cv2.CAP_PROP_FPS), 1.0), -1.0
             while True:
                 there, picture = capture.read()
                 if not there:
                     return
+                if self._own_times:
+                    at = capture.get(cv2.CAP_PROP_POS_MSEC) / 1000.0
+                    self._turn = last = at if at > last else last + 1.0 / rate
                 yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
         finally:
             capture.release()
@@ -165,7 +177,7 @@ class PictureFolder(PacedFrames):
         if not paths:
             raise DeviceLost(f"{self.name}: {self._source} holds no PNG or JPEG pictures")
         for path in paths:
-            picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+            picture = read_pixels(path)
             if picture is None:
                 raise DeviceLost(f"{self.name}: {path} is no picture that OpenCV reads")
-            yield cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
+            yield picture

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from zipfile import BadZipFile
 
 import cv2
 import numpy as np
@@ -17,6 +16,7 @@ from schemas import ColorImage, DepthImage
 from services.tracker.devices import PacedFrames
 from vantage.log import read
 from vantage.service import DeviceLost
+from vantage.tracking.picture_file import UnreadableArrays, read_arrays, read_pixels
 
 RgbdFrame = tuple[npt.NDArray[np.uint16], npt.NDArray[np.uint8]]
 
@@ -33,17 +33,17 @@ class FrameFolder(PacedFrames):
 
     def _read_arrays(self, path: Path) -> RgbdFrame:
         try:
-            with np.load(path, allow_pickle=False) as arrays:
-                return self._checked(path, arrays["depth"], arrays["color"])
-        except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
-            raise DeviceLost(f"{self.name}: {path} does not hold the arrays depth and color: {error}") from error
+            depth, color = read_arrays(path, "depth", "color")
+        except UnreadableArrays as error:
+            raise DeviceLost(f"{self.name}: {error}") from error
+        return self._checked(path, depth, color)
 
     def _read_pair(self, path: Path) -> RgbdFrame:
         depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
-        color = cv2.imread(str(path).removesuffix(".depth.png") + ".color.png", cv2.IMREAD_COLOR)
+        color = read_pixels(path.with_name(path.name.removesuffix(".depth.png") + ".color.png"))
         if depth is None or color is None:
             raise DeviceLost(f"{self.name}: {path} or the .color.png beside it cannot be read")
-        return self._checked(path, depth, cv2.cvtColor(color, cv2.COLOR_BGR2RGB))
+        return self._checked(path, depth, color)
 
     def _checked(self, path: Path, depth: npt.NDArray[np.generic], color: npt.NDArray[np.generic]) -> RgbdFrame:
         if depth.dtype != np.uint16 or depth.ndim != 2 or color.dtype != np.uint8 or color.shape[2:] != (3,):

@@ -33,6 +33,12 @@ class CameraWatch:
         """It is known to be gone, and why."""
         self._errors[name] = error
 
+    def held_up(self, lag: int) -> None:
+        """Do not count `lag` ns in which nobody looked."""
+        self._last = {name: None if last is None else last + lag for name, last in self._last.items()}
+        if self._since is not None:
+            self._since += lag
+
     def is_fresh(self, name: str, now: int, patience: float) -> bool:
         """Whether it was there within the last `patience` seconds."""
         last = self._last[name]

@@ -1,16 +1,24 @@
-"""A participant in a process of its own: `python bus_participant.py FOLDER NAME ROLE [KEY ...]`, JSON lines on stdout."""
+"""A participant in a process of its own: `python bus_participant.py FOLDER NAME ROLE [KEY ...]`, JSON lines on stdout.
+
+The environment variable WALL_CLOCK_SET_BY holds the seconds by which its wall clock differs from the machine's.
+"""
 
 import json
+import os
 import sys
 import threading
 import time
 from pathlib import Path
 
-from bus_tables import CALLS, TOPICS, pose, question
+SET_BY = round(1e9 * float(os.environ.get("WALL_CLOCK_SET_BY", "0")))
+true_time_ns = time.time_ns
+time.time_ns = lambda: true_time_ns() + SET_BY  # before anything reads it
 
-from schemas import ColorImage, Intrinsics, MalformedMessage
-from vantage.bus import Lost, Request, Sample
-from vantage.bus.zenoh_bus import ZenohBus
+from bus_tables import CALLS, TOPICS, pose, question  # noqa: E402
+
+from schemas import ColorImage, Intrinsics, MalformedMessage  # noqa: E402
+from vantage.bus import Lost, Request, Sample  # noqa: E402
+from vantage.bus.zenoh_bus import ZenohBus  # noqa: E402
 
 
 def say(*words: object) -> None:

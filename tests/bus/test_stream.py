@@ -11,7 +11,7 @@ from vantage.bus.stream import CATCH_UP, Missing, Stream
 
 
 class Publisher:
-    """Publishes 0, 1, 2, ... at times 0, 1, 2, ... and keeps the last `cache`."""
+    """Publishes 0, 1, 2, ... and keeps the last `cache`."""
 
     def __init__(self, cache: int) -> None:
         self.count = 0
@@ -31,10 +31,17 @@ class Publisher:
 
 
 class Reader:
-    def __init__(self, stream: Stream[int], publisher: Publisher, started: int, first: int = 0) -> None:
+    """Subscribed when the publisher had published `since` messages, or before the publisher started: then 0.
+
+    Args:
+        clock: whether reader and publisher share one.
+    """
+
+    def __init__(self, stream: Stream[int], publisher: Publisher, since: int, first: int = 0, clock: bool = True) -> None:
         self.stream = stream
         self.publisher = publisher
-        self.started = started
+        self.since = since
+        self.clock = clock
         self.delivered: list[int] = []
         self.missing = 0
         self.first = first  # what is owed, if there is no history
@@ -68,12 +75,13 @@ class Reader:
             return
         question, self.asked = self.asked, None
         for sequence in self.publisher.answers(question)[:stops] if reaches else []:
-            self.take(self.stream.answered(sequence, sequence, self.started, sequence))
+            old = sequence < self.since if self.clock else None
+            self.take(self.stream.answered(sequence, sequence, old=old, owes_all=self.clock and self.since == 0))
         self.take(self.stream.ended())
         self.ask()
 
     def hear(self, sequence: int) -> None:
-        self.take(self.stream.arrived(sequence, sequence, self.started, sequence))
+        self.take(self.stream.arrived(sequence, sequence, owes_all=self.clock and self.since == 0))
         self.ask()
 
     def beat(self) -> None:
@@ -99,7 +107,7 @@ def test_everything_since_is_delivered_in_order_or_counted(events: list[str], ca
     publisher = Publisher(cache)
     for _ in range(before):
         publisher.publish()
-    reader = Reader(Stream(before, history, 1000), publisher, started=0, first=before)
+    reader = Reader(Stream(history, 1000), publisher, since=before, first=before)
     for event in events:
         if event == "heard":
             reader.hear(publisher.publish())
@@ -127,7 +135,7 @@ def test_nothing_is_missing_while_the_cache_suffices(events: list[str], history:
     publisher = Publisher(1000)
     for _ in range(10):
         publisher.publish()
-    reader = Reader(Stream(10, history, 1000), publisher, started=0)
+    reader = Reader(Stream(history, 1000), publisher, since=10)
     for event in events:
         if event == "heard":
             reader.hear(publisher.publish())
@@ -147,7 +155,7 @@ def test_publisher_that_started_later_is_owed_from_its_first_message() -> None:
         publisher = Publisher(cache)
         for _ in range(100):
             publisher.publish()
-        reader = Reader(Stream(0, 1, 1000), publisher, started=0)
+        reader = Reader(Stream(1, 1000), publisher, since=0)
         reader.hear(publisher.publish())
         reader.answer(True)
         assert reader.delivered == []
@@ -160,7 +168,7 @@ def test_late_joiner_asks_for_no_more_than_it_needs() -> None:
     publisher = Publisher(1000)
     for _ in range(500):
         publisher.publish()
-    reader = Reader(Stream(500, 1, 1000), publisher, started=0)
+    reader = Reader(Stream(1, 1000), publisher, since=500)
     reader.hear(publisher.publish())
     assert reader.asked == f"_max={CATCH_UP}"
     reader.answer(True)
@@ -169,19 +177,19 @@ def test_late_joiner_asks_for_no_more_than_it_needs() -> None:
 
 
 def test_messages_wait_no_longer_than_the_limit_for_missing_ones() -> None:
-    stream: Stream[int] = Stream(0, 0, 5)
-    assert stream.arrived(0, 0, 0, 0) == [0]
+    stream: Stream[int] = Stream(0, 5)
+    assert stream.arrived(0, 0) == [0]
     assert stream.question() is None
     for sequence in range(2, 7):
-        assert stream.arrived(sequence, sequence, 0, sequence) == []
+        assert stream.arrived(sequence, sequence) == []
     assert stream.question() == "_sn=1..16"
-    assert stream.arrived(7, 7, 0, 7) == [Missing(1), 2, 3, 4, 5, 6, 7]
+    assert stream.arrived(7, 7) == [Missing(1), 2, 3, 4, 5, 6, 7]
 
 
 def test_publisher_out_of_reach_is_waited_for_until_it_is_given_up() -> None:
-    stream: Stream[int] = Stream(0, 0, 100)
-    stream.arrived(0, 0, 0, 0)
-    stream.arrived(3, 3, 0, 3)
+    stream: Stream[int] = Stream(0, 100)
+    stream.arrived(0, 0)
+    stream.arrived(3, 3)
     stream.announced(5)
     assert stream.question() == "_sn=1..16"
     assert stream.left()
@@ -194,3 +202,32 @@ def test_publisher_out_of_reach_is_waited_for_until_it_is_given_up() -> None:
     assert stream.left()
     assert stream.abandon() == [Missing(2), 3, Missing(2)]
     assert not stream.left()
+
+
+@given(steps, st.integers(1, 30), st.integers(0, 5))
+@settings(max_examples=300, deadline=None)
+def test_without_a_common_clock_what_arrives_live_and_all_that_follows_is_delivered(
+    events: list[str], before: int, history: int
+) -> None:
+    """And of what was there before no more than the wanted history, whatever the network loses."""
+    publisher = Publisher(1000)
+    for _ in range(before):
+        publisher.publish()
+    reader = Reader(Stream(history, 1000), publisher, since=before, clock=False)
+    first_live: int | None = None
+    for event in events:
+        if event == "heard":
+            first_live = publisher.count if first_live is None else first_live
+            reader.hear(publisher.publish())
+        elif event == "dropped":
+            publisher.publish()
+        elif event == "beat":
+            reader.beat()
+        elif "answer" in event:
+            reader.answer(event != "unanswered", 2 if event == "half answered" else 1000)
+    reader.settle()
+    assert reader.missing == 0
+    assert reader.delivered == list(range(publisher.count - len(reader.delivered), publisher.count))
+    assert len([sequence for sequence in reader.delivered if sequence < before]) <= history
+    if first_live is not None:
+        assert first_live in reader.delivered

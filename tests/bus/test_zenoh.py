@@ -21,7 +21,10 @@ from schemas import TOPICS as SCHEMA_TOPICS
 from schemas import ColorImage, Intrinsics, MalformedMessage
 from vantage.bus import Alive, Bus, CannotOpen, Event, Reply, Request, Sample
 from vantage.bus.zenoh_bus import ZenohBus
-from vantage.bus.zenoh_session import connections
+from vantage.bus.zenoh_session import LEASE, connections
+
+AT_ONCE = 0.8 * LEASE
+"""Seconds: what takes less did not wait until Zenoh gave a silent peer up. benchmarks/start_up.py measures what it takes."""
 
 
 def publish_at(bus: Bus, key: str, count: int, rate: float, start: int = 0) -> float:
@@ -71,7 +74,7 @@ def test_stopped_reader_loses_nothing_and_holds_nobody_up(zenoh_network: Zenoh) 
     assert [line for line in said if line[0] != "sample"] == []
     assert [line[3] for line in said if line[1] == "picture"] == list(range(301))
     assert [line[3] for line in said if line[1] == "steady"] == list(range(3001))
-    assert longest < 0.3
+    assert longest < AT_ONCE / 2  # a publisher that waits for a reader waits 5 s
 
 
 def test_too_small_a_cache_loses_and_says_exactly_how_many(zenoh_network: Zenoh) -> None:
@@ -94,7 +97,7 @@ def test_too_small_a_cache_loses_and_says_exactly_how_many(zenoh_network: Zenoh)
     assert lost == 20001 - len(received) > 0
 
 
-def test_killed_and_restarted_reader_is_back_with_the_latched_messages_within_a_second(zenoh_network: Zenoh) -> None:
+def test_killed_and_restarted_reader_is_back_at_once_with_the_latched_messages(zenoh_network: Zenoh) -> None:
     zenoh_network.participant("publisher", "latch", "steady", "hider/pose")
     zenoh_network.participant("second", "latch", "seeker/pose")
     watcher = zenoh_network.session("watcher")
@@ -105,12 +108,12 @@ def test_killed_and_restarted_reader_is_back_with_the_latched_messages_within_a_
         reader.kill()
         before = time.monotonic()
         zenoh_network.collect(watcher, lambda events: Alive("reader", False) in events)
-        assert time.monotonic() - before < 1.0
+        assert time.monotonic() - before < AT_ONCE
         reader = zenoh_network.participant("reader", "listen", "steady", "*/pose")
         before = time.monotonic()
         for _ in range(3):
             reader.line()
-        assert time.monotonic() - before < 1.0
+        assert time.monotonic() - before < AT_ONCE
         assert sorted(reader.lines[1:], key=str) == [
             ["sample", "hider/pose", "publisher", 2, 3],
             ["sample", "seeker/pose", "second", 2, 3],
@@ -158,7 +161,7 @@ def test_killed_server_ends_the_call_at_once(zenoh_network: Zenoh) -> None:
     server.kill()
     before = time.monotonic()
     events = zenoh_network.collect(caller, lambda events: sum(isinstance(event, Reply) for event in events) == 20)
-    assert time.monotonic() - before < 2.0
+    assert time.monotonic() - before < AT_ONCE
     assert {event.token for event in events if isinstance(event, Reply) and event.error} == tokens
     assert Alive("server", False) in events + zenoh_network.rest(caller)
 
@@ -172,7 +175,7 @@ def test_stopped_server_is_timed_out(zenoh_network: Zenoh) -> None:
     before = time.monotonic()
     caller.call("question", question(1), 0.5)
     zenoh_network.collect(caller, lambda events: any(isinstance(event, Reply) and bool(event.error) for event in events))
-    assert 0.4 < time.monotonic() - before < 1.0
+    assert 0.4 < time.monotonic() - before < AT_ONCE
 
 
 def test_stopped_process_shows_and_then_holds_up_nobody_that_leaves(zenoh_network: Zenoh) -> None:
@@ -184,13 +187,13 @@ def test_stopped_process_shows_and_then_holds_up_nobody_that_leaves(zenoh_networ
     zenoh_network.collect(watcher, lambda events: Alive("server", False) in events)
     before = time.monotonic()
     watcher.close()
-    assert time.monotonic() - before < 1.5
+    assert time.monotonic() - before < AT_ONCE
     # Nor anybody that comes and greets it in vain.
     for role in ("forget", "fail"):
         leaver = zenoh_network.participant("second", role)
         before = time.monotonic()
         leaver.process.communicate(timeout=PATIENCE)
-        assert time.monotonic() - before < 2.0
+        assert time.monotonic() - before < AT_ONCE
         assert leaver.process.returncode == (0 if role == "forget" else 1)
     server.signal(signal.SIGCONT)
 
@@ -205,7 +208,7 @@ def test_late_joiner_is_not_held_up_by_a_stopped_publisher(zenoh_network: Zenoh)
     (event,) = zenoh_network.take(reader, 1)
     assert isinstance(event, Sample)
     assert event.key == "hider/pose"
-    assert time.monotonic() - before < 1.0
+    assert time.monotonic() - before < AT_ONCE
     stopped.signal(signal.SIGCONT)
 
 
@@ -226,7 +229,9 @@ def test_garbage_harms_nothing(zenoh_network: Zenoh) -> None:
             attachment = chance.choice([None, chance.randbytes(chance.randrange(200)), bytes(15), b"\xff" * 17])
             data = chance.randbytes(chance.randrange(100))
             stranger.put(key, data, attachment=attachment, congestion_control=zenoh.CongestionControl.BLOCK)
-    replies = [stranger.get("vantage/table/question", payload=payload, timeout=5.0) for payload in (None, chance.randbytes(50))]
+    replies = [
+        stranger.get("vantage/table/question", payload=payload, timeout=PATIENCE) for payload in (None, chance.randbytes(50))
+    ]
     for reply in replies:
         (request,) = zenoh_network.take(server, 1)
         assert isinstance(request, Request)
@@ -252,7 +257,7 @@ def test_process_that_forgets_to_close_ends_at_once(zenoh_network: Zenoh, role: 
     leaver = zenoh_network.participant("publisher", role)
     before = time.monotonic()
     leaver.process.communicate(timeout=PATIENCE)
-    assert time.monotonic() - before < 2.0
+    assert time.monotonic() - before < AT_ONCE
     assert leaver.process.returncode == (0 if role == "forget" else 1)
 
 
@@ -265,7 +270,7 @@ def test_process_leaves_at_once_although_others_are_stopped(zenoh_network: Zenoh
         leaver.publish("picture", picture(number))
     before = time.monotonic()
     leaver.close()
-    assert time.monotonic() - before < 1.0
+    assert time.monotonic() - before < AT_ONCE
     stopped.signal(signal.SIGCONT)
 
 

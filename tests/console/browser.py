@@ -12,6 +12,16 @@ from urllib.parse import urlsplit
 
 from playwright.sync_api import Browser, Page, sync_playwright
 
+PATIENCE = 120.0
+"""Seconds until a wait fails. It bounds failures only: no test is to depend on how fast the machine is."""
+ON = "['setup', 'running'].includes(vantage.state.frames.episode?.header.phase)"
+OVER = "['ended', 'aborted'].includes(vantage.state.frames.episode?.header.phase)"
+PAUSED = "(vantage.state.frames.episode?.header.phase === 'running' && vantage.state.frames.episode.header.paused)"
+GAME = "(vantage.state.frames.episode?.header.episode ?? 0)"
+PLANNED = """(vantage.state.frames['hider/plan']?.header.unpredictable === ''
+  && vantage.state.frames['hider/plan'].header.episode === vantage.state.frames.episode?.header.episode)"""
+"""The present game has a plan whose goals can be asked about."""
+
 NOTES = """
 window.violations = [];
 window.sockets = [];
@@ -44,14 +54,14 @@ def chromium() -> Iterator[Browser]:
         browser.close()
 
 
-def address_of(folder: Path, timeout: float = 20.0) -> str:
+def address_of(folder: Path, timeout: float = PATIENCE) -> str:
     """Return the address that the console of a deployment has written into its folder."""
     place = folder / "console.address"
-    wait_until(lambda: place.is_file() and bool(place.read_text().strip()), timeout, "the console's address")
+    wait_until(lambda: place.is_file() and bool(place.read_text().strip()), "the console's address", timeout)
     return place.read_text().strip()
 
 
-def wait_until(so: Callable[[], object], timeout: float, what: str) -> None:
+def wait_until(so: Callable[[], object], what: str, timeout: float = PATIENCE) -> None:
     """Ask again and again until something is so; fails after `timeout` seconds."""
     deadline = time.monotonic() + timeout
     while not so():
@@ -83,6 +93,7 @@ class ConsolePage:
             self.errors.append(text)
 
     def open(self) -> None:
+        self.page.goto("about:blank")  # else only the fragment would differ, which is no navigation
         self.page.goto(self.address)
         self.until("vantage.state.connected && vantage.state.frames.welcome && vantage.state.frames.services")
 
@@ -90,9 +101,53 @@ class ConsolePage:
         """Evaluate JavaScript: past the page's security policy, which forbids it strings of code."""
         return self.page.evaluate(f"() => {expression}")
 
-    def until(self, expression: str, timeout: float = 15.0) -> None:
+    def until(self, expression: str) -> None:
         """Wait until something is so on the page."""
-        wait_until(lambda: self.get(f"Boolean({expression})"), timeout, expression)
+        wait_until(lambda: self.get(f"Boolean({expression})"), expression)
+
+    def watch_a_game(self, so: str = "true", held: bool = True) -> None:
+        """Watch a planner's game until something is so, and hold its clock there.
+
+        A game that is over before that (caught; aborted by a busy machine) is followed by another one.
+
+        Args:
+            so: JavaScript; it is also true when this returns, of a game with a plan.
+            held: whether the clock is to stand still, so that what is judged does not change.
+        """
+        so = f"({PLANNED} && ({so}))"
+        while True:
+            self._start_game()
+            self.until(f"{so} || {OVER}")
+            if held and not self.get(OVER):
+                self.press(" ")
+                self.until(f"{PAUSED} || {OVER}")
+                self.be_painted()
+            if self.get(f"{so} && {PAUSED if held else ON}"):
+                return
+            self.idle()
+
+    def _start_game(self) -> None:
+        if self.get(ON):
+            return
+        before = self.get(GAME)
+        self.press("g")
+        self.until(f"{GAME} > {before} || document.querySelector('#notices p')")  # refused: the page says so, once more
+        if self.get(f"{GAME} === {before}"):
+            self.until("!document.querySelector('#notices p')")
+            self._start_game()
+
+    def hold_human_game(self, so: str, **game: Any) -> None:
+        """Begin games of a human's until one is held in which something is so."""
+        while True:
+            self.begin_human_game(**game)
+            self.until(f"({so}) || {OVER}")
+            if not self.get(OVER):
+                self.press(" ")
+                self.until(f"{PAUSED} || {OVER}")
+                self.be_painted()
+            if self.get(f"({so}) && {PAUSED}"):
+                return
+            self.idle()
 
     def be_painted(self) -> None:
         """Wait until what the page knows by now is drawn: in the display frame after it came, at the latest."""
@@ -111,15 +166,22 @@ class ConsolePage:
             self.page.once("dialog", lambda dialog: dialog.accept())
             self.press("Escape")
             self.until("vantage.state.mode === 'watch' && vantage.state.connected && vantage.state.frames.services")
-        on = "['setup', 'running'].includes(vantage.state.frames.episode?.header.phase)"
         more = "vantage.state.frames.session?.header.more_games"
-        if self.get(f"{on} || {more}"):
+        if self.get(f"{ON} || {more}"):
             self.press("x")
-            self.until(f"!{on} && !{more}")
+            self.until(f"!{ON} && !{more}")
 
-    def begin_human_game(self, games: int = 1, steps: int = 30, period: float = 0.1, seed: int = 3, name: str = "") -> None:
-        """Enter play mode with the keyboard, fill the form in, and play through the count-down."""
+    def begin_human_game(
+        self, games: int = 1, steps: int = 30, period: float = 0.1, seed: int = 3, name: str = "", key: str = ""
+    ) -> None:
+        """Enter play mode with the keyboard, fill the form in, and play through the count-down.
+
+        Args:
+            key: held through it, so that it counts from the first step on.
+        """
         self.ask_for_human_game(games, steps, period, seed, name)
+        if key:
+            self.page.keyboard.down(key)
         self.wait_for_game()
 
     def ask_for_human_game(self, games: int = 1, steps: int = 30, period: float = 0.1, seed: int = 3, name: str = "") -> None:
@@ -133,7 +195,15 @@ class ConsolePage:
         self.until("vantage.state.play?.phase === 'count'")
 
     def wait_for_game(self) -> None:
-        self.until("vantage.state.play?.phase === 'game' && vantage.state.frames.episode.header.phase === 'running'")
+        """Wait until the game runs, or is over already; one that a busy machine aborted is played again."""
+        over = "['between', 'done'].includes(vantage.state.play?.phase)"
+        while True:
+            self.until(
+                f"{over} || vantage.state.play?.phase === 'game' && vantage.state.frames.episode.header.phase === 'running'"
+            )
+            if not self.get(f"{over} && vantage.state.play.games.at(-1)?.outcome === 'undecided'"):
+                return
+            self.press("Enter")
 
     def lose_connection(self) -> None:
         """Close the page's WebSocket, as a network that drops does, and wait until it noticed."""

@@ -14,10 +14,10 @@ from rich.console import Console
 
 from tests.console.browser import ConsolePage, address_of, chromium
 from tests.stack.table import Table
+from vantage.output import complete
 
 SIZES = ((1440, 900), (1920, 1080))
 THEMES: tuple[Literal["dark", "light"], ...] = ("dark", "light")
-MAXIMUM_BYTES = 150_000
 LATE_STEP = 72
 """Of a game to watch: most predicted views then have the true one beside them."""
 
@@ -38,14 +38,9 @@ class Settings:
 
 
 def save(picture: bytes, path: Path) -> None:
-    """Write a PNG with a palette, with as many colours as `MAXIMUM_BYTES` allow."""
-    image = Image.open(io.BytesIO(picture)).convert("RGB")
-    for colors in (256, 160, 96, 64, 32):
-        packed = io.BytesIO()
-        image.quantize(colors, Image.Quantize.MAXCOVERAGE, kmeans=1, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
-        if packed.tell() <= MAXIMUM_BYTES:
-            break
-    path.write_bytes(packed.getvalue())
+    """Write a PNG in true colours: a palette would change those of the robots."""
+    with complete(path) as partial:
+        Image.open(io.BytesIO(picture)).convert("RGB").save(partial, "png", optimize=True)
 
 
 def looks(page: ConsolePage) -> Iterator[str]:
@@ -72,18 +67,16 @@ def main(settings: Settings) -> None:
         page = ConsolePage(browser, address_of(table.folder))
         photograph(page, "first-visit")
         page.page.get_by_label("seed").fill(str(settings.seed))
-        page.page.locator("form.bar button.primary").click()
-        page.until(f"vantage.state.frames.tick?.header.step >= {LATE_STEP}", timeout=60)
+        page.watch_a_game(f"vantage.state.frames.tick?.header.step >= {LATE_STEP}", held=False)
         photograph(page, "live")
         page.idle()
         page.press("h")
         photograph(page, "rules")
         page.press("Escape")
-        page.begin_human_game(steps=100, period=1.0, seed=5)  # slow: the pictures are of one moment
+        page.begin_human_game(steps=100, period=1.0, seed=5, key="ArrowLeft")  # slow: the pictures are of one moment
         page.press("i")
-        page.page.keyboard.down("ArrowLeft")
         seen = "vantage.state.frames['hider/view']?.header.other_x != null"
-        page.until(f"{seen} && vantage.state.frames.tick?.header.step > 1", timeout=60)
+        page.until(f"{seen} && vantage.state.frames.tick?.header.step > 1")
         page.page.keyboard.up("ArrowLeft")
         photograph(page, "play")
         page.idle()

@@ -14,7 +14,7 @@ from urllib.parse import urlsplit
 import pytest
 from playwright.sync_api import Browser
 
-from tests.console.browser import ConsolePage, address_of
+from tests.console.browser import OVER, ConsolePage, address_of
 
 
 @contextmanager
@@ -24,7 +24,7 @@ def console_alone(folder: Path, port: int = 0) -> Iterator[str]:
     command = [sys.executable, "-m", "services.console", "--folder", str(folder), "--port", str(port)]
     with subprocess.Popen(command, stderr=subprocess.DEVNULL) as console:
         try:
-            yield address_of(folder, 30)
+            yield address_of(folder)
         finally:
             console.terminate()
 
@@ -57,8 +57,8 @@ def test_whoever_is_invited_to_watch_a_game_sees_one(page: ConsolePage) -> None:
     game = "vantage.state.frames.episode?.header"
     before = page.get(f"{game}?.episode ?? 0")
     invitation.get_by_role("button", name=re.compile("^Watch (a|another) game$")).click()
-    page.until(f"{game}?.phase === 'running' && {game}.episode > {before}")
-    assert invitation.is_hidden()
+    page.until(f"{game}?.episode > {before}")
+    page.until(f"document.querySelector('.invitation').hidden || {OVER}")
 
 
 def test_forms_offer_what_the_console_takes_and_a_form_that_is_wrong_starts_nothing(page: ConsolePage) -> None:
@@ -87,11 +87,34 @@ def test_a_page_takes_no_other_deployment_for_its_own(home: Path, browser: Brows
     with console_alone(home / "one") as address:
         page = ConsolePage(browser, address)
         page.offline = True
-    with console_alone(home / "other", urlsplit(address).port or 0):
+    with console_alone(home / "other", urlsplit(address).port or 0) as other:
         page.until("!document.getElementById('banner').hidden")
-        page.until("document.getElementById('banner').textContent.includes('another deployment answers')")
+        page.until("document.getElementById('banner').textContent.includes('Open the address with #token=')", 30.0)
         assert not page.get("vantage.state.connected")
         page.offline = False
-        page.open()  # who reloads wants to see it
+        page.address = other
+        page.open()
         page.offline = True
     page.close()
+
+
+@pytest.mark.stack
+def test_the_token_leaves_the_address_and_stays_for_the_tab(home: Path, browser: Browser) -> None:
+    with console_alone(home / "one") as address:
+        page = ConsolePage(browser, address)
+        place, _, token = address.partition("#token=")
+        assert token
+        assert page.page.url == place
+        assert token not in page.get("JSON.stringify(history.state) + document.documentElement.outerHTML")
+        page.page.reload()
+        page.until("vantage.state.connected && vantage.state.frames.welcome")
+        page.page.evaluate("(token) => { window.old = true; location.hash = `token=${token}`; }", token)  # pasted into this tab
+        page.page.wait_for_function("() => !window.old && window.vantage?.state.connected")
+        page.until("vantage.state.frames.welcome")
+        assert page.page.url == place
+        stranger = page.page.context.browser.new_page()
+        stranger.goto(place)
+        stranger.wait_for_function("() => !document.getElementById('banner').hidden")
+        assert "Open the address with #token=" in stranger.locator("#banner").inner_text()
+        stranger.close()
+        page.close()

@@ -13,14 +13,13 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser
 
-from tests.console.browser import ConsolePage, address_of, wait_until
+from tests.console.browser import OVER, PATIENCE, ConsolePage, address_of, wait_until
 from tests.stack.table import VANTAGE, Table
 from vantage.log import open_log
 from vantage.log.episodes import games_of
 
 pytestmark = pytest.mark.stack
 
-OVER = "['ended', 'aborted'].includes(vantage.state.frames.episode?.header.phase)"
 STEPS = 20
 
 
@@ -33,12 +32,11 @@ def log(browser: Browser) -> Iterator[Path]:
         played = table.command("play", "--seed", "5", "--steps", str(STEPS), "--period", "0.1")
         assert played.returncode == 0, played.stdout + played.stderr
         page.until(OVER)
-        page.begin_human_game(steps=STEPS)
-        page.page.keyboard.down("ArrowRight")
-        page.until("vantage.state.frames.tick.header.step >= 6")
+        page.begin_human_game(steps=3 * STEPS, key="ArrowRight")
+        page.until(f"vantage.state.frames.tick.header.step >= 6 || {OVER}")
         page.page.keyboard.up("ArrowRight")
         page.page.keyboard.down("ArrowUp")
-        page.until(OVER, timeout=20)
+        page.until(OVER)
         page.page.keyboard.up("ArrowUp")
         page.close()
         table.deployment.stop()
@@ -67,11 +65,14 @@ def test_a_replay_is_watched_like_a_game(log: Path, browser: Browser) -> None:
     command = [str(VANTAGE), "replay", str(log), "--folder", str(home / "run")]
     playing = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
     try:
-        page = ConsolePage(browser, address_of(home / "run", 60))
-        page.until("vantage.state.frames.playback?.header.state === 'playing'", 30)
+        page = ConsolePage(browser, address_of(home / "run"))
+        page.until("vantage.state.frames.playback?.header.state === 'playing'")
         assert page.page.locator(".replay").is_visible()
-        page.page.locator(".replay button").click()
-        page.until("vantage.state.frames.playback.header.state === 'paused'")
+        state = "vantage.state.frames.playback.header.state"
+        while page.get(state) != "paused":  # it may be at its end by now: then it plays again
+            before = page.get(state)
+            page.page.locator(".replay button").click()
+            page.until(f"{state} !== '{before}'")
         # Into the middle of the planner's game: the map is there, and goals can be clicked.
         slider = page.page.get_by_label("Position in the log, s")
         with open_log(log) as opened:
@@ -86,16 +87,16 @@ def test_a_replay_is_watched_like_a_game(log: Path, browser: Browser) -> None:
         # And to the end, fast: the human's game, which has no plan.
         page.page.locator(".replay button").click()
         page.page.locator(".replay").get_by_label("Speed").select_option("8")
-        page.until("vantage.state.frames.playback.header.state === 'ended'", 30)
+        page.until("vantage.state.frames.playback.header.state === 'ended'")
         page.until("vantage.state.frames.episode.header.players.hider === 'human'")
         assert page.get("vantage.state.frames.episode.header.phase") == "ended"
         assert page.get("vantage.state.frames.playback.header.jumps") == jumps
         assert page.get("vantage.state.mode") == "watch", "nobody drives in a log"
         page.close()
         playing.send_signal(signal.SIGINT)
-        said, _ = playing.communicate(timeout=20)
+        said, _ = playing.communicate(timeout=PATIENCE)
         assert "http://127.0.0.1:" in said
-        wait_until(lambda: not (home / "run" / "console.sock").exists() or not _alive(home / "run"), 10, "the deployment is down")
+        wait_until(lambda: not (home / "run" / "console.sock").exists() or not _alive(home / "run"), "the deployment is down")
     finally:
         if playing.poll() is None:
             playing.kill()

@@ -12,7 +12,8 @@ from typing import Any
 import msgspec
 
 from schemas import ROBOTS, Command, Episode, Message, Pose, Rules, Tick
-from services.rehearsal.core import LINES, CameraSettings, RehearsalCore
+from services.rehearsal.cameras import Cameras
+from services.rehearsal.core import CAMERAS, LINES, CameraSettings, RehearsalCore
 from services.rehearsal.preparation import Prepared, TableSettings, calibrate_and_write, prepare_table
 from services.rehearsal.world import World
 from services.robot.core import RobotCore
@@ -49,6 +50,24 @@ class CableEnd:
     def write(self, data: bytes) -> None:
         if not self.cut:
             self.other.post(Captured(self.other_name, data, self.clock()))
+
+    def open(self) -> None: ...
+    def read(self) -> None: ...
+    def close(self) -> None: ...
+
+
+@dataclass
+class CamerasAtOnce:
+    """The rehearsed cameras, which draw a frame in the moment of its exposure."""
+
+    cameras: Cameras
+    session: Bus
+    clock: Callable[[], int]
+    name: str = CAMERAS
+    newest_only: bool = False
+
+    def write(self, data: bytes) -> None:
+        self.session.post(Captured(CAMERAS, self.cameras.draw(data), self.clock()))
 
     def open(self) -> None: ...
     def read(self) -> None: ...
@@ -179,15 +198,17 @@ class RehearsedTable(TableOnTest):
         prepared, self.calibrated = calibration.prepared, calibration.calibrated
         self.obstacles = prepared.obstacles
         self.world = World(prepared.obstacles, prepared.starts, seed=1)
-        rehearsal = RehearsalCore(self.world, prepared.obstacles, prepared.scene, prepared.cameras, CameraSettings())
+        rehearsal = RehearsalCore(self.world, CameraSettings())
         sessions = {name: self.network.session(name) for name in ("rehearsal", "robot", "tracker")}
         self.cables: dict[str, list[CableEnd]] = {
             "rehearsal": [CableEnd(line, sessions["robot"], robot, self.clock) for line, robot in LINES.items()],
             "robot": [CableEnd(robot, sessions["rehearsal"], line, self.clock) for line, robot in LINES.items()],
         }
+        cameras = Cameras(prepared.obstacles, prepared.scene, prepared.cameras, CameraSettings().seed)
+        drawn = CamerasAtOnce(cameras, sessions["rehearsal"], self.clock)
         robot = RobotCore(RobotSettings(hider_port="cable", seeker_port="cable"))
         self.runtimes = [
-            Runtime(rehearsal, sessions["rehearsal"], self.clock, devices=self.cables["rehearsal"]),
+            Runtime(rehearsal, sessions["rehearsal"], self.clock, devices=[*self.cables["rehearsal"], drawn]),
             Runtime(robot, sessions["robot"], self.clock, devices=self.cables["robot"]),
             Runtime(TrackerCore(self.calibrated), sessions["tracker"], self.clock),
         ]

@@ -54,7 +54,7 @@ def test_the_dumps_are_messagepack_for_another_reader() -> None:
 
 def wait(bus: Bus, found: Callable[[object], bool]) -> list[object]:
     events: list[object] = []
-    deadline = time.monotonic() + 20.0
+    deadline = time.monotonic() + 120.0
     while not (events and found(events[-1])):
         assert time.monotonic() < deadline, events
         event = bus.receive(0.2)
@@ -85,7 +85,7 @@ def test_a_plain_zenoh_client_takes_part_through_the_gateway_of_the_page(short_f
             commands = robot.declare_subscriber("vantage/table/hider/command")
             token = robot.liveliness().declare_token("vantage-alive/table/onboard")
             wait(tracker, lambda event: event == Alive("onboard", True))
-            deadline = time.monotonic() + 20.0
+            deadline = time.monotonic() + 120.0
             while (heard := commands.try_recv()) is None:
                 assert time.monotonic() < deadline
                 planner.publish("hider/command", COMMAND)
@@ -125,7 +125,7 @@ def test_a_motion_without_attachment_is_set_aside_and_said(short_folder: Path) -
         core = Listener()
         runtime = Runtime(core, bus, health=False)
         bus.post(Sample("hider/motion", encode(MOTION), "", 0, STAMP, Motion))
-        deadline = time.monotonic() + 5.0
+        deadline = time.monotonic() + 120.0
         while "stranger" not in (reason := runtime.health_report("ok").reason):
             assert time.monotonic() < deadline
             runtime.turn(0.1)

@@ -63,6 +63,7 @@ def example(key: str, step: int) -> Message:
             "players": players,
             "reason": "caught at 0.149 m" if step else "",
             "paused": not step,
+            "request": "0f6c",
         },
         Tick: {"late": ("seeker",) if step else ()},
         Layout: {
@@ -118,7 +119,7 @@ def example(key: str, step: int) -> Message:
         },
         Control: {"action": "seek", "position": 12.5, "speed": 2.0}
         if step
-        else {"action": "start", "seed": 42, "games": 2, "players": players},
+        else {"action": "start", "seed": 42, "games": 2, "players": players, "request": "0f6c", "owner": "command-line"},
         Playback: {"log": "table-20261125.mcap", "position": 1.5, "duration": 30.0, "speed": 2.0, "state": "paused", "jumps": 1},
         Gap: {"key": "hider/pose", "publisher": "simulator", "missed": 2},
         Health: {

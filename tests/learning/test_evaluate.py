@@ -130,7 +130,8 @@ def test_the_whole_command(dataset: Dataset, tmp_path: Path, capsys: pytest.Capt
     assert page.count("oracle: the first 15 examples only") == shown.out.count("oracle: the first 15 examples only") == 6
     assert page.count("view oracle: the first 15 examples only") == 2
 
-    assert evaluate.main(EvaluateSettings(data=dataset.folder, weights=tmp_path, to=None)) == 2
+    with pytest.raises(UnusableSettings, match="no method has its weights in"):
+        evaluate.main(EvaluateSettings(data=dataset.folder, weights=tmp_path, to=None))
     for wrong in ({"methods": ("vpt",)}, {"samples": ()}, {"horizons": (0,)}, {"oracle": -1}):
         with pytest.raises(UnusableSettings):
             evaluate.main(EvaluateSettings(data=dataset.folder, weights=weights, **wrong))  # type: ignore[arg-type]

@@ -4,14 +4,17 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from matplotlib.image import imread
+from msgspec.structs import replace
 
 from learning.collect import CollectSettings, play_block
 from learning.demo import views_request
-from learning.picture import _true_view, draw, read_game
+from learning.picture import _true_view, draw, draw_value_map, read_game
 from schemas import Plan, PredictReply, PredictRequest, StateImage, encode
 from vantage.log import LogWriter, read
-from vantage.perception.palette import PALETTE
+from vantage.perception.palette import view_for_people, view_palette
+from vantage.world.arena import ROBOT_COLORS
 
 
 def game_with_predictions(folder: Path) -> Path:
@@ -60,18 +63,43 @@ def test_the_picture_shows_something(tmp_path: Path) -> None:
     assert (picture[..., :3] < 0.99).any(axis=2).mean() > 0.1
     centres = []
     for shade in (10, 120, 230):
-        rows, columns = np.nonzero((np.abs(picture[..., :3] - shade / 255) < 1e-3).all(axis=2))
+        shown = view_for_people(np.full(3, shade, np.uint8), "seeker")
+        rows, columns = np.nonzero((np.abs(picture[..., :3] - shown / 255) < 1e-3).all(axis=2))
         assert len(rows) > 5000, "each predicted view is there"
         centres.append((columns.mean(), rows.mean()))
     assert [x for x, _ in centres] == sorted(x for x, _ in centres), "from the first step to the last"
     assert all(700 < y < 1000 for _, y in centres), "predictions above, as the label says, and true views below"
 
 
+def test_robots_goal_and_danger_are_shown_alike_in_all_parts_of_the_picture(tmp_path: Path) -> None:
+    game = read_game(game_with_predictions(tmp_path))
+    draw(game, tmp_path / "picture.png")
+    picture = np.rint(255 * imread(tmp_path / "picture.png")[..., :3]).astype(int)
+    for color in ROBOT_COLORS.values():
+        assert (picture == color).all(axis=2)[:800].sum() > 1000, "the disc in the arena"
+        assert (picture == color).all(axis=2)[-30:].sum() > 100, "the legend"
+    for network_color in ((255, 0, 0), (0, 255, 0)):
+        assert not (picture == network_color).all(axis=2).any()
+    assert (picture == ROBOT_COLORS["seeker"]).all(axis=2)[1000:-30].sum() > 100, "its own disc in its true views"
+    figure = Figure()
+    axes = figure.add_subplot()
+    ((step, plan),) = game.log.plans.items()
+    game.log.plans[step] = replace(plan, values=tuple(map(float, range(121))), goal=112)
+    draw_value_map(axes, game.log)
+    assert "goal (0.30, 1.10) m" in axes.get_xlabel()
+    (image,) = axes.images
+    assert image.get_array()[0, 0] == 0.0 and image.get_array()[10, 10] == 120.0
+    assert image.get_cmap()(0.0)[2] > image.get_cmap()(0.0)[0] and image.get_cmap()(1.0)[0] > image.get_cmap()(1.0)[2], (
+        "red is high"
+    )
+    assert "danger" in figure.axes[1].get_ylabel()
+
+
 def test_the_true_views_are_what_the_seeker_perceived_frozen_at_the_end(tmp_path: Path) -> None:
     game = read_game(game_with_predictions(tmp_path))
     for step, message in game.log.views["seeker"].items():
         view, _ = _true_view(game.log, step)
-        np.testing.assert_array_equal(view, PALETTE[np.frombuffer(message.data, np.uint8).reshape(128, 128)])
+        np.testing.assert_array_equal(view, view_palette("seeker")[np.frombuffer(message.data, np.uint8).reshape(128, 128)])
     last, caption = _true_view(game.log, game.log.steps + 50)
     np.testing.assert_array_equal(last, _true_view(game.log, game.log.steps)[0])
     assert caption == f"step {game.log.steps}: {'caught' if game.log.episode.outcome == 'caught' else 'free'}"

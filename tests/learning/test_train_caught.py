@@ -17,6 +17,7 @@ from learning.dataset import Dataset, Samples
 from learning.group import Group
 from learning.recipe import CAUGHT_PRESETS, CaughtModel, CaughtRecipe
 from learning.train_caught import TrainCaughtSettings, Trainer, make_network
+from learning.training_identity import OtherTraining
 from vantage.networks.hazard import Hazard, HazardSettings
 from vantage.networks.weights import load_any, read_card
 
@@ -143,8 +144,8 @@ def test_from_training_to_weights(
     assert "going on after 32 samples" in capsys.readouterr().out
     assert read_card(settings.to).training["samples"] <= 48
     assert list((tmp_path / "run").glob("events.*"))
-    assert train_caught.main(replace(settings, rate=2e-3)) == 1
-    assert "another recipe" in capsys.readouterr().err
+    with pytest.raises(OtherTraining, match=r"recipe rate .* there, 0.002 here"):
+        train_caught.main(replace(settings, rate=2e-3))
 
 
 def test_the_preset_paper_has_the_encoder_and_the_recipe_of_vpt_tob() -> None:

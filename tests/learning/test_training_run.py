@@ -1,8 +1,9 @@
 """What every training keeps account of: its checkpoint, what another training may not go on from, progress, and what is told."""
 
 import dataclasses
-import io
+import errno
 import itertools
+import os
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -11,16 +12,19 @@ import numpy as np
 import pytest
 import torch
 
-from learning import training_run
+from learning import training_run, training_settings
 from learning.group import Group
 from learning.recipe import Recipe, VpnRecipe
-from learning.training_run import OtherTraining, TrainingRun, training_samples
-from learning.training_settings import TrainingSettings, given
+from learning.training_identity import OtherTraining
+from learning.training_run import NotWritten, TrainingRun, training_samples
+from learning.training_settings import Place, TrainingSettings, UnusableTraining, given, places_of
+from vantage.errors import UserError
 from vantage.networks.vpn import Vpn, VpnSettings
+from vantage.networks.weights import ModelCard, card_of, card_path, load_any, read_card, save
 
 CPU = torch.device("cpu")
 ALONE = Group(0, 1, CPU)
-IDENTITY = {"model": "hazard", "recipe": {"rate": 1e-3, "encoder": (8, 8)}, "data": "hash"}
+IDENTITY = {"seed": 1, "model": "hazard", "recipe": {"rate": 1e-3, "encoder": (8, 8)}, "data": "hash"}
 MEASURES = {"loss": 0.5, "AUROC": 0.75}
 
 
@@ -34,7 +38,30 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> SimpleNamespace:
 
 def new_run(workspace: Path, total: int = 100, minutes: float | None = None, **settings: Any) -> TrainingRun:
     given = {"identity": IDENTITY, "group": ALONE, "report_every": 20, **settings}
-    return TrainingRun(workspace, total=total, minutes=minutes, **given)
+    return TrainingRun(Place(1, workspace / "x.safetensors", workspace), total=total, minutes=minutes, **given)
+
+
+NETWORK = Vpn(VpnSettings(width=4, hidden=8))
+
+
+def train(run: TrainingRun, losses: list[float] | None = None) -> None:
+    """Learn ten samples a step; the validations measure these losses, or ever lower ones."""
+    left = iter(losses) if losses else (1.0 / number for number in itertools.count(1))
+
+    def step() -> tuple[int, torch.Tensor]:
+        with torch.no_grad():
+            next(iter(NETWORK.parameters())).add_(1.0)
+        return 10, torch.tensor(1.0)
+
+    def validate() -> dict[str, float]:
+        return {"loss": next(left)}
+
+    def card() -> ModelCard:
+        made = card_of(NETWORK)
+        made.training = {"samples": run.seen, "seed": run.identity["seed"]}
+        return made
+
+    run.train(step, validate, NETWORK, card, lambda: {"state": run.seen})
 
 
 def step(run: TrainingRun, clock: SimpleNamespace, seconds: float = 2.0, samples: int = 10, loss: float = 1.0) -> None:
@@ -49,7 +76,6 @@ def test_a_resumed_run_counts_on(tmp_path: Path, clock: SimpleNamespace, capsys:
     step(run, clock, 90.0)
     run.keep_if_best(MEASURES)
     run.write_checkpoint({"trainer": {"network": {"weight": torch.arange(3.0)}}})
-    run.finish(tmp_path / "x.safetensors")
     capsys.readouterr()
 
     later = new_run(tmp_path)
@@ -57,7 +83,7 @@ def test_a_resumed_run_counts_on(tmp_path: Path, clock: SimpleNamespace, capsys:
     assert saved is not None
     assert torch.equal(saved["trainer"]["network"]["weight"], torch.arange(3.0))
     assert (later.seen, later.trained, later.best, later.best_measures) == (10, 90.0, 0.5, MEASURES)
-    assert capsys.readouterr().out == "going on after 10 samples, 1.5 minutes\n"
+    assert capsys.readouterr().out == "going on after 10 samples in 1.5 minutes\n"
     later.begin()
     assert later.progress == 0.1
     step(later, clock)
@@ -65,56 +91,131 @@ def test_a_resumed_run_counts_on(tmp_path: Path, clock: SimpleNamespace, capsys:
     assert not later.keep_if_best({"loss": 0.6}), "the best is the best of all sittings"
 
 
-def test_a_checkpoint_has_the_keys_that_it_always_had(tmp_path: Path) -> None:
-    """Checkpoints lie in people's workspaces: of vpt-tob and caught with all state under `trainer`, of vpn beside the counts."""
-    run = new_run(tmp_path)
-    counts = {"identity": IDENTITY, "seen": 0, "trained": 0.0, "best": float("inf"), "best_measures": {}}
-    for state in ({"trainer": {"network": {}}}, {"network": {}, "optimizer": {}}):
-        run.write_checkpoint(state)
-        assert torch.load(tmp_path / "checkpoint.pt", weights_only=True) == {**counts, **state}
-    earlier = {"identity": IDENTITY, "trainer": {}, "seen": 40, "trained": 60.0, "best": 0.3, "best_measures": {"loss": 0.3}}
-    torch.save(earlier, tmp_path / "checkpoint.pt")
-    assert run.resume() == earlier
-    assert (run.seen, run.trained, run.best, run.best_measures) == (40, 60.0, 0.3, {"loss": 0.3})
-
-
-def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("changed", "says"),
+    [
+        ({"seed": 2}, r"\(seed 1 there, 2 here\)"),
+        ({"recipe": {"rate": 1e-3, "encoder": (8, 16)}}, r"\(recipe encoder \(8, 8\) there, \(8, 16\) here\)"),
+        ({"data": "other"}, r"\(data hash there, other here\)"),
+        ({"processes": 2}, r"\(processes unknown there, 2 here\)"),
+    ],
+)
+def test_a_checkpoint_of_another_training_is_refused(tmp_path: Path, changed: dict[str, Any], says: str) -> None:
     run = new_run(tmp_path)
     run.seen = 30
     run.write_checkpoint({})
-    other = new_run(tmp_path, identity={**IDENTITY, "recipe": {"rate": 1e-3, "encoder": (8, 16)}})
-    with pytest.raises(OtherTraining, match=r"checkpoint.pt is of another recipe or training set: choose another --workspace"):
+    other = new_run(tmp_path, identity={**IDENTITY, **changed})
+    with pytest.raises(OtherTraining, match=rf"checkpoint.pt is of another training {says}: choose another --to, or --force"):
         other.resume()
+    with pytest.raises(OtherTraining):
+        other.resume(go_on=False)
     assert (other.seen, other.trained) == (0, 0.0)
-    with pytest.raises(OtherTraining, match="another recipe, training set or predictor"):
-        other.resume("recipe, training set or predictor")
-    assert other.resume(settled=lambda earlier: {**earlier, "recipe": other.identity["recipe"]}) is not None
-    assert other.seen == 30
+    assert new_run(tmp_path, identity={**IDENTITY, **changed}, force=True).resume() is None
+    assert new_run(tmp_path).resume() is not None, "nothing is replaced before there is something to replace it with"
 
 
-def test_an_interrupted_write_leaves_the_checkpoint_before_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    run = new_run(tmp_path / "run")
-    run.seen = 10
-    run.write_checkpoint({"trainer": {"weight": torch.ones(1000)}})
-    whole, save = (tmp_path / "run" / "checkpoint.pt").read_bytes(), torch.save
+def test_a_checkpoint_of_an_earlier_version_is_of_an_unknown_seed(tmp_path: Path) -> None:
+    earlier = {name: value for name, value in IDENTITY.items() if name != "seed"}
+    torch.save({"identity": earlier, "trainer": {}, "seen": 40, "trained": 60.0}, tmp_path / "checkpoint.pt")
+    with pytest.raises(OtherTraining, match="seed unknown there, 1 here"):
+        new_run(tmp_path).resume()
 
-    def interrupted(content: object, path: Path) -> None:
-        buffer = io.BytesIO()
-        save(content, buffer)
-        path.write_bytes(buffer.getvalue()[: buffer.tell() // 2])
-        raise OSError("no space left on device")
 
-    monkeypatch.setattr(torch, "save", interrupted)
-    run.seen = 20
-    with pytest.raises(OSError, match="no space"):
-        run.write_checkpoint({"trainer": {"weight": torch.zeros(1000)}})
-    assert (tmp_path / "run" / "checkpoint.pt").read_bytes() == whole
-    later = new_run(tmp_path / "run")
-    saved = later.resume()
-    assert saved is not None and saved["trainer"]["weight"].all() and later.seen == 10
-    monkeypatch.undo()
-    later.write_checkpoint({"trainer": {}})  # what is left of the other is in nobody's way
-    assert [path.name for path in (tmp_path / "run").iterdir()] == ["checkpoint.pt"]
+@pytest.mark.parametrize("content", [b"", b"text", "list"])
+def test_a_damaged_checkpoint_is_named_in_one_line(tmp_path: Path, content: bytes | str) -> None:
+    if isinstance(content, str):
+        torch.save([1], tmp_path / "checkpoint.pt")
+    else:
+        (tmp_path / "checkpoint.pt").write_bytes(content)
+    with pytest.raises(UserError, match=r"checkpoint.pt cannot be read .*--force to begin again") as caught:
+        new_run(tmp_path).resume()
+    assert "\n" not in str(caught.value)
+    assert new_run(tmp_path, force=True).resume() is None
+
+
+def test_weights_of_another_training_are_never_written_over(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    weights = tmp_path / "x.safetensors"
+    save(NETWORK, weights, card_of(NETWORK))  # of an earlier version, or given
+    before = weights.read_bytes()
+    for go_on in (True, False):
+        with pytest.raises(OtherTraining, match=r"x.safetensors holds weights of another training.*--force"):
+            new_run(tmp_path).resume(go_on)
+    weights.unlink()
+    with pytest.raises(OtherTraining):
+        new_run(tmp_path).resume()  # the card of other weights would be written over
+    weights.write_bytes(before)
+    run = new_run(tmp_path, total=20, force=True)
+    assert run.resume() is None
+    train(run)
+    assert weights.read_bytes() != before
+    other = new_run(tmp_path, identity={**IDENTITY, "seed": 2})
+    other.checkpoint = tmp_path / "elsewhere" / "checkpoint.pt"
+    with pytest.raises(OtherTraining, match="holds weights of another training"):
+        other.resume()
+    again = new_run(tmp_path)
+    again.checkpoint = tmp_path / "elsewhere" / "checkpoint.pt"
+    with pytest.raises(UserError, match="not the checkpoint of its training: --no-resume begins again"):
+        again.resume()
+    assert again.resume(go_on=False) is None
+
+
+def test_nothing_left_to_train_is_one_line_and_the_weights_are_there(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    weights = tmp_path / "x.safetensors"
+    first = new_run(tmp_path, total=40)
+    first.resume()
+    train(first)
+    first.finish()
+    found, card = load_any(weights)
+    assert (card.training["samples"], card.training["seed"]) == (40, 1)
+    spoils = {
+        "weights": lambda: weights.unlink(),
+        "card": lambda: card_path(weights).unlink(),
+        "page": lambda: weights.with_suffix(".md").unlink(),
+        "all": lambda: [path.unlink() for path in tmp_path.glob("x.*")],
+        "bytes": lambda: weights.write_bytes(b"damaged"),
+        "nothing": lambda: None,
+    }
+    for name, spoil in spoils.items():
+        spoil()
+        capsys.readouterr()
+        again = new_run(tmp_path, total=40)
+        assert again.resume() is not None and again.is_over
+        lines = capsys.readouterr().out.splitlines()
+        assert lines[-1].startswith(f"nothing left to train: {weights} has learnt from 40 samples in"), name
+        assert lines[:-1] == ([] if name == "nothing" else [f"{weights} was gone or damaged: written again, from the checkpoint"])
+        network, card_again = load_any(weights)
+        assert all(torch.equal(a, b) for a, b in zip(network.state_dict().values(), found.state_dict().values(), strict=True))
+        assert (card_again.training["samples"], card_again.identity) == (40, card.identity)
+    with pytest.raises(UserError, match=r"has learnt from 40 samples in .* already, all that is asked for or more"):
+        new_run(tmp_path, total=20).resume()
+    more = new_run(tmp_path, total=60)
+    assert more.resume() is not None and not more.is_over
+    train(more, [0.9, 0.9])
+    more.finish()
+    assert read_card(weights).training["samples"] == 60
+    assert read_card(weights).sha256 == card.sha256, "the best weights are those of the first sitting"
+
+
+def test_a_full_disk_ends_it_with_one_line_and_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = new_run(tmp_path, total=40)
+    run.resume()
+    train(run)
+    run.finish()
+    kept = {name: (tmp_path / name).read_bytes() for name in ("checkpoint.pt", "x.safetensors", "x.json", "x.md")}
+    more = new_run(tmp_path, total=80, checkpoint_minutes=3.0)
+    more.resume()
+
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(
+        NotWritten, match=r"No space left on device; free some space.* The training ends after 60 samples"
+    ) as caught:
+        train(more, [0.01])
+    assert "the checkpoint before it is kept" in str(caught.value) and "\n" not in str(caught.value)
+    assert {name: (tmp_path / name).read_bytes() for name in kept} == kept
+    assert not list(tmp_path.glob(".*"))
 
 
 def test_progress_is_by_samples_or_by_minutes(tmp_path: Path, clock: SimpleNamespace) -> None:
@@ -135,8 +236,8 @@ def test_progress_is_by_samples_or_by_minutes(tmp_path: Path, clock: SimpleNames
 class SecondOfTwo(Group):
     """A process beside one that is done."""
 
-    def from_first(self, value: float) -> float:
-        return 1.0
+    def agree(self, progress: float, stop: bool) -> tuple[float, bool]:
+        return 1.0, stop
 
     def leave(self) -> None:
         pass
@@ -165,15 +266,58 @@ def test_reports_come_by_samples_checkpoints_by_minutes_and_both_at_the_end(tmp_
         step(run, clock)
         due.append((run.report_is_due, run.checkpoint_is_due))
         if run.report_is_due:
+            run._validated = run.seen
             run.report(MEASURES, saved=False)
         if run.checkpoint_is_due:
             run.write_checkpoint({})
-    assert due == [(False, False), (True, False), (False, True), (True, False), (True, True)]
+    first, at_the_end = (False, True), (True, True)
+    assert due == [first, (True, False), (False, False), (True, True), at_the_end], "the first step is kept, too"
     resumed = new_run(tmp_path, total=90, checkpoint_minutes=0.1)
     resumed.resume()
     resumed.begin()
     step(resumed, clock)
     assert not resumed.report_is_due and not resumed.checkpoint_is_due, "both count from where it goes on"
+
+
+def test_a_stop_finishes_the_step_and_writes_the_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = iter([False, False, True])
+    monkeypatch.setattr(training_run, "stop_requested", lambda: next(asked))
+    run = new_run(tmp_path, report_every=1000)
+    run.resume()
+    with pytest.raises(KeyboardInterrupt, match=r"the checkpoint after 20 samples in .* is kept; the same command goes on"):
+        train(run)
+    monkeypatch.setattr(training_run, "stop_requested", lambda: False)
+    later = new_run(tmp_path)
+    saved = later.resume()
+    assert saved is not None and saved["state"] == later.seen == 20
+
+
+def test_a_stop_in_a_validation_leaves_it_to_the_next_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    run = new_run(tmp_path, total=20)
+    run.resume()
+
+    def validate() -> dict[str, float]:
+        monkeypatch.setattr(training_run, "stop_requested", lambda: True)
+        return {"loss": float(sum(run.interruptible([1.0, 2.0])))}
+
+    with pytest.raises(KeyboardInterrupt, match="after 20 samples"):
+        run.train(lambda: (20, torch.tensor(1.0)), validate, NETWORK, lambda: card_of(NETWORK), dict)
+    monkeypatch.setattr(training_run, "stop_requested", lambda: False)
+    later = new_run(tmp_path, total=20)
+    later.resume()
+    assert not later.is_over and not (tmp_path / "x.safetensors").exists()
+    train(later, [0.5])
+    later.finish()
+    assert later.is_over and load_any(tmp_path / "x.safetensors")
+
+
+def test_weights_are_not_made_up_where_the_loss_was_never_a_number(tmp_path: Path) -> None:
+    run = new_run(tmp_path, total=20)
+    run.resume()
+    train(run, [float("nan")])
+    with pytest.raises(UserError, match="the validation loss was never a number: no weights were written"):
+        run.finish()
+    assert not (tmp_path / "x.safetensors").exists()
 
 
 def test_only_a_lower_loss_is_better(tmp_path: Path) -> None:
@@ -195,13 +339,14 @@ def test_a_report_tells_what_was_learnt_since_the_last_one(
     run.report(MEASURES, saved=True, curves={"training/rate": 1e-3})
     step(run, clock, seconds=56.0, samples=500, loss=3.0)
     run.show("predictions", np.zeros((4, 4, 3), np.uint8))
-    run.report(MEASURES, saved=False, pace=f"{run.minutes_left:4.1f} min left")
+    run.report(MEASURES, saved=False)
     run.keep_if_best(MEASURES)
-    run.finish(tmp_path / "x.safetensors")
+    run.weights.keep(NETWORK, card_of(NETWORK))
+    run.finish()
     assert capsys.readouterr().out.splitlines() == [
-        " 25.0 %        500 samples   125/s     0 min left  loss 1.2000  validation: loss 0.5000  AUROC 0.7500  * saved",
-        " 50.0 %      1,000 samples   1.0 min left  loss 3.0000  validation: loss 0.5000  AUROC 0.7500",
-        f"best validation: {MEASURES}; weights in {tmp_path / 'x.safetensors'}",
+        " 25.0 %        500 samples   125/s   0.2 min left  loss 1.2000  validation: loss 0.5000  AUROC 0.7500  * saved",
+        " 50.0 %      1,000 samples     9/s   1.0 min left  loss 3.0000  validation: loss 0.5000  AUROC 0.7500",
+        f"best validation: loss 0.5000, AUROC 0.7500; weights in {tmp_path / 'x.safetensors'}",
     ]
     board = EventAccumulator(str(tmp_path)).Reload()
     assert set(board.Tags()["scalars"]) == {"validation/loss", "validation/AUROC", "training/loss", "training/rate"}
@@ -217,11 +362,8 @@ def test_only_the_first_process_reports_and_writes(
     step(run, clock, samples=20)
     assert run.progress == 1.0, "as the first has it"
     assert not run.report_is_due and not run.checkpoint_is_due
-    assert run.refuse("no") == 1
-    run.finish(tmp_path / "x.safetensors")
+    run.finish()
     assert capsys.readouterr() == ("", "") and not list(tmp_path.iterdir())
-    assert new_run(tmp_path).refuse("no") == 1
-    assert capsys.readouterr() == ("", "no\n")
 
 
 def test_processes_share_the_batches_and_go_on_where_they_were() -> None:
@@ -254,28 +396,45 @@ def test_the_card_says_what_the_best_weights_came_from(tmp_path: Path, clock: Si
     names = ("hash", "episodes", "hiders", "seekers", "layouts", "horizons")
     data: Any = SimpleNamespace(manifest={name: f"its {name}" for name in (*names, "commit")})
     recipe, network = VpnRecipe(network=VpnSettings(width=4)), Vpn(VpnSettings(width=4))
-    run = new_run(tmp_path)
+    run = new_run(tmp_path, unit="images")
     run.begin()
     step(run, clock, 30.0)
     run.keep_if_best(MEASURES)
-    card = run.model_card(network, "paper", data, recipe, {"images seen": run.seen}, seed=7)
+    card = run.model_card(network, "paper", data, recipe, ["A note."])
+    assert (card.notes, card.training["seed"]) == (["A note."], 1)
     assert (card.architecture, card.preset, card.metrics, card.network["width"]) == ("vpn", "paper", MEASURES, 4)
     assert card.data == {name: f"its {name}" for name in names}
-    own = {"images seen": 10, "minutes": 0.5, "device": "cpu", "seed": 7}
+    own = {"images seen": 10, "minutes": 0.5, "best after": 10, "device": "cpu", "seed": 1}
     expected = {**dataclasses.asdict(recipe), **own}
     expected.pop("network")
-    assert card.training == expected and list(card.training)[-4:] == list(own)
+    assert card.training == expected and list(card.training)[-5:] == list(own)
 
 
 def test_settings_that_are_not_given_leave_the_preset_alone() -> None:
-    settings = TrainingSettings(model="hazard", preset="paper", samples=0, drop=0.5)
-    assert given(settings, "samples", "batch", "drop") == {"samples": 0, "drop": 0.5}
-    assert (settings.weights, settings.folder) == (Path("runs/hazard.safetensors"), Path("runs/hazard"))
-    told = dataclasses.replace(settings, to=Path("a.safetensors"), workspace=Path("b"), threads=3)
-    assert (told.weights, told.folder, told.threads_of(ALONE)) == (Path("a.safetensors"), Path("b"), 3)
+    settings = TrainingSettings(model="hazard", preset="paper", samples=8, drop=0.0)
+    assert given(settings, "samples", "batch", "drop") == {"samples": 8, "drop": 0.0}
+
+
+def test_the_workspace_follows_the_weights_and_each_seed_has_its_own() -> None:
+    def places(**settings: Any) -> list[tuple[int, str, str]]:
+        found = places_of(TrainingSettings(model="hazard", preset="paper", **settings), "hazard")
+        return [(place.seed, str(place.weights), str(place.workspace)) for place in found]
+
+    assert places() == [(1, "runs/hazard.safetensors", "runs/hazard")]
+    assert places(seeds=(2,), to=Path("a/b.safetensors")) == [(2, "a/b.safetensors", "a/b")]
+    assert places(workspace=Path("w")) == [(1, "runs/hazard.safetensors", "w")]
+    assert places(seeds=(1, 3)) == [
+        (1, "runs/hazard-seed1.safetensors", "runs/hazard-seed1"),
+        (3, "runs/hazard-seed3.safetensors", "runs/hazard-seed3"),
+    ]
+    assert [place[2] for place in places(seeds=(1, 3), workspace=Path("w"))] == ["w/seed1", "w/seed3"]
+    for wrong in ({"seeds": ()}, {"seeds": (1, 1)}, {"seeds": (-1,)}, {"to": Path("a.pt")}, {"samples": 0}, {"minutes": -1.0}):
+        with pytest.raises(UnusableTraining, match="--"):
+            places(**wrong)
 
 
 def test_processes_share_the_cores(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(training_run.os, "cpu_count", lambda: 6)
+    monkeypatch.setattr(training_settings, "available_cores", lambda: 6)
     settings = TrainingSettings(model="hazard", preset="paper")
     assert [settings.threads_of(Group(0, size, CPU)) for size in (1, 2, 8)] == [6, 3, 1]
+    assert dataclasses.replace(settings, threads=3).threads_of(ALONE) == 3

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
+import pytest
 from mcap.reader import make_reader
+from msgspec import structs
 
 from schemas import Gap, encode
 from tests.log.making import game, records_of, write_log
@@ -64,6 +68,38 @@ def test_recover_makes_a_cut_log_whole(tmp_path: Path) -> None:
     folder = run("recover", tmp_path, "--to", tmp_path / "all")
     assert folder.returncode == 0
     assert sorted(path.name for path in (tmp_path / "all").iterdir()) == ["cut-recovered.mcap", "cut.mcap"]
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
+def test_an_interrupted_recovery_leaves_nothing_under_its_name(tmp_path: Path, sent: signal.Signals) -> None:
+    picture = bytes(range(256)) * 4000
+    color = Record("hider/color", "simulator", 0, 1, 1, picture)
+    write_log(tmp_path / "log.mcap", [structs.replace(color, log_time=n) for n in range(1, 401)], compression="none")
+    command = [VANTAGE, "log", "recover", tmp_path / "log.mcap", "--to", tmp_path / "new" / "whole.mcap"]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    deadline = time.monotonic() + 60
+    while process.poll() is None and not list(tmp_path.glob("new/.whole.partial*")):
+        assert time.monotonic() < deadline
+        time.sleep(0.001)
+    process.send_signal(sent)
+    _, said = process.communicate(timeout=60)
+    assert process.returncode in (130, -signal.SIGKILL), said
+    assert not (tmp_path / "new" / "whole.mcap").exists()
+    if sent == signal.SIGINT:
+        assert list((tmp_path / "new").iterdir()) == []
+        assert said.startswith("vantage log recover: stopped") and said.count("\n") == 1
+
+
+def test_a_folder_is_recovered_where_it_was_interrupted(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        write_log(tmp_path / "logs" / f"{name}.mcap", records_of(game(1, 3)), keep_going=True)
+    (tmp_path / "logs-recovered").mkdir()
+    (tmp_path / "logs-recovered" / "a.mcap").write_bytes(b"finished before")
+    done = run("recover", tmp_path / "logs")
+    assert done.returncode == 0, done.stderr
+    assert "a.mcap is there already, and was left as it is" in done.stdout.replace("\n", " ")
+    assert (tmp_path / "logs-recovered" / "a.mcap").read_bytes() == b"finished before"
+    assert len(list(read(tmp_path / "logs-recovered" / "b.mcap"))) == len(records_of(game(1, 3)))
 
 
 def test_export_opens_in_other_programs(tmp_path: Path) -> None:

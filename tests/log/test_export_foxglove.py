@@ -28,7 +28,8 @@ from vantage.log.foxglove_layout import layout_of
 from vantage.log.games import NoSuchGame
 from vantage.log.part import ChunkLost, Part
 from vantage.log.reader import NoSuchLog, parts_of
-from vantage.log.target import ExportError, TargetExists, whole
+from vantage.log.target import ExportError, whole
+from vantage.output import AlreadyExists
 
 LOOKS = arena_appearance()
 VANTAGE = Path(sys.executable).parent / "vantage"
@@ -72,6 +73,14 @@ def test_the_layout_shows_the_arena_and_the_robots_as_they_look() -> None:
     assert layout["3D!scene"]["cameraState"]["targetOffset"] == [1.75, 1.75, 0]
 
 
+def test_the_scene_colours_danger_as_every_other_picture_does() -> None:
+    layout = layout_of(["viewer/hider/plan/values", "viewer/hider/plan/picture"], LOOKS)["configById"]
+    shown = layout["3D!scene"]["topics"]["viewer/hider/plan/values"]
+    ends = ["#{:02x}{:02x}{:02x}80".format(*LOOKS.danger[end]) for end in (0, -1)]
+    assert (shown["colorField"], shown["gradient"]) == ("danger", ends)
+    assert "danger" in layout["Image!hider-plan-picture"]["foxglovePanelTitle"]
+
+
 def test_one_game_is_its_time_of_the_log(tmp_path: Path) -> None:
     export_to("foxglove", real_log(), tmp_path / "two.mcap", LOOKS, episode=2)
     own = [record for record in read(real_log()) if record.decode().episode == 2]
@@ -85,14 +94,14 @@ def test_one_game_is_its_time_of_the_log(tmp_path: Path) -> None:
 
 def test_nothing_is_overwritten_without_being_asked(tmp_path: Path) -> None:
     (tmp_path / "out.layout.json").write_text("mine")
-    with pytest.raises(TargetExists, match="exists already"):
+    with pytest.raises(AlreadyExists, match="exists already"):
         export_to("foxglove", real_log(), tmp_path / "out.mcap", LOOKS)
     assert (tmp_path / "out.layout.json").read_text() == "mine"
     assert [path.name for path in tmp_path.iterdir()] == ["out.layout.json"]
-    with pytest.raises(TargetExists, match="never replaced"):
+    with pytest.raises(AlreadyExists, match="never replaced"):
         export_to("foxglove", real_log(), tmp_path / "out.mcap", LOOKS, force=True)
     (tmp_path / "out.layout.json").write_text('{"configById": {}}')
-    with pytest.raises(TargetExists, match="--force"):
+    with pytest.raises(AlreadyExists, match="--force"):
         export_to("foxglove", real_log(), tmp_path / "out.mcap", LOOKS)
     export_to("foxglove", real_log(), tmp_path / "out.mcap", LOOKS, force=True)
     assert json.loads((tmp_path / "out.layout.json").read_text())["layout"]
@@ -110,7 +119,7 @@ def test_only_an_earlier_export_is_replaced(tmp_path: Path, format: Any) -> None
         with pytest.raises(ExportError, match="is the log itself"):
             export_to(format, log, target, LOOKS, force=True)
     for target in (other, tmp_path / "text"):
-        with pytest.raises(TargetExists, match="never replaced"):
+        with pytest.raises(AlreadyExists, match="never replaced"):
             export_to(format, log, target, LOOKS, force=True)
     assert (log.read_bytes(), other.read_bytes(), (tmp_path / "text").read_text()) == (*before, "a thesis")
     export_to(format, log, tmp_path / "out", LOOKS)
@@ -121,7 +130,7 @@ def test_a_data_set_of_somebody_else_is_never_replaced(tmp_path: Path) -> None:
     info = tmp_path / "set" / "meta" / "info.json"
     info.parent.mkdir(parents=True)
     info.write_text('{"codebase_version": "v3.0", "robot_type": "so100"}')
-    with pytest.raises(TargetExists, match="never replaced"):
+    with pytest.raises(AlreadyExists, match="never replaced"):
         export_to("lerobot", real_log(), tmp_path / "set", LOOKS, force=True)
     assert "so100" in info.read_text()
 
@@ -150,15 +159,15 @@ def test_a_disk_that_is_full_but_for_a_little_is_full(tmp_path: Path, monkeypatc
     """What closing writes may fit where a whole chunk did not: the copy is short all the same."""
     write_chunk, calls = Part.write_chunk, 0
 
-    def once_full(self: Part, group: str) -> None:
+    def once_full(self: Part, group: str) -> bool:
         nonlocal calls
         calls += 1
         if calls == 1:
             raise ChunkLost(OSError(errno.ENOSPC, "No space left on device"), {("hider/color", "simulator"): 1})
-        write_chunk(self, group)
+        return write_chunk(self, group)
 
     monkeypatch.setattr(Part, "write_chunk", once_full)
-    with pytest.raises(ExportError, match=f"{tmp_path / 'out.mcap'}: the disk is full"):
+    with pytest.raises(OSError, match=f"No space left on device: '{tmp_path / 'out.mcap'}'"):
         export_to("foxglove", real_log(), tmp_path / "out.mcap", LOOKS)
     assert list(tmp_path.iterdir()) == []
 
@@ -239,7 +248,7 @@ def test_what_is_no_log_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
 def test_a_folder_of_somebody_else_is_never_replaced(tmp_path: Path) -> None:
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "chapter.tex").write_text("mine")
-    with pytest.raises(TargetExists, match="never replaced"):
+    with pytest.raises(AlreadyExists, match="never replaced"):
         export_to("lerobot", real_log(), tmp_path / "thesis", LOOKS, force=True)
     assert (tmp_path / "thesis" / "chapter.tex").read_text() == "mine"
 

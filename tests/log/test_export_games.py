@@ -21,7 +21,7 @@ from vantage.log.games import WORD_TOPICS, NoSuchGame, find_game
 from vantage.log.games import games_of as heard
 from vantage.log.outline import outline, steps_of
 from vantage.log.report import info
-from vantage.log.target import TargetExists
+from vantage.output import AlreadyExists
 from vantage.replay.recording import Recording
 
 KEYS = ("hider/pose", "seeker/pose", "hider/color", "seeker/depth", "hider/command", "hider/plan")
@@ -180,6 +180,6 @@ def test_a_name_that_is_taken_is_noticed_before_anything_is_written(tmp_path: Pa
     write(tmp_path / "log.mcap", [*records_of(game(1, 3)), *records_of(game(2, 3), start=START + 10**9)])
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "game-0002.rrd").write_text("mine")
-    with pytest.raises(TargetExists):
+    with pytest.raises(AlreadyExists):
         export_to("rerun", tmp_path / "log.mcap", tmp_path / "out", arena_appearance())
     assert [path.name for path in (tmp_path / "out").iterdir()] == ["game-0002.rrd"]

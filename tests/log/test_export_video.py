@@ -9,13 +9,16 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from schemas import Message
+from schemas import Message, StateImage
 from services.recorder.appearance import arena_appearance
 from tests.log.exporting import real_log, write
 from tests.log.making import game, records_of
 from vantage.log import open_log
 from vantage.log.episodes import games_of
 from vantage.log.export_formats import export_to
+from vantage.log.game_picture import GamePicture
+from vantage.log.outline import outline
+from vantage.perception.palette import OTHER, OWN
 from vantage.world.arena import HIDER_COLOR, SEEKER_COLOR
 
 LOOKS = arena_appearance()
@@ -47,6 +50,18 @@ def test_a_picture_a_step_at_its_time_and_the_robots_where_they_were(tmp_path: P
             y = 80 + 610 * (1.2 - pose.y + 0.03 * np.sin(pose.heading)) / 1.2
             assert np.abs(picture[round(y), round(x)].astype(int) - color).max() < 40
     assert (tmp_path / "two.mp4").read_bytes().find(b"moov") < (tmp_path / "two.mp4").read_bytes().find(b"mdat")
+
+
+def test_in_state_images_each_robot_has_its_own_colour_whoever_looks() -> None:
+    """A pixel's index is drawn alike in every picture: nothing is green for the hider above and for the seeker below."""
+    with open_log(real_log()) as log:
+        played = next(found for found in outline(log) if found.number == 2)
+    looks = {"hider": HIDER_COLOR, "seeker": SEEKER_COLOR}
+    for column, (robot, other) in enumerate((("hider", "seeker"), ("seeker", "hider"))):
+        for index, expected in ((OWN, robot), (OTHER, other)):
+            view = StateImage(stamp=1, data=bytes([index]) * 128 * 128)
+            drawn = GamePicture(played, LOOKS).draw(0, 0.0, {f"{robot}/view": view})
+            assert tuple(drawn[356 + 96, 655 + column * 203 + 96]) == looks[expected], (robot, index)
 
 
 def test_a_game_that_was_not_played_in_real_time_is_shown_at_the_usual_pace(tmp_path: Path) -> None:

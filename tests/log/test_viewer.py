@@ -35,13 +35,14 @@ from vantage.log import LogWriter, RunMetadata, read
 from vantage.log.export import export
 from vantage.log.reader import NoSuchLog
 from vantage.log.viewer import Viewer, value_picture
-from vantage.perception.palette import DANGER, PALETTE
+from vantage.perception.palette import DANGER, FREE, OTHER, OWN, PALETTE
 
 STAMP = 1_700_000_000_123_456_789
 
 
 def shown(tmp_path: Path, *messages: tuple[str, Message]) -> dict[str, list[Any]]:
     """What viewers see of messages: topic -> decoded protobuf."""
+    tmp_path.mkdir(exist_ok=True)
     path = tmp_path / f"{len(list(tmp_path.iterdir()))}.mcap"
     with LogWriter(path, RunMetadata(), sync=False, viewer=Viewer(arena_appearance()).translate) as log:
         for number, (key, message) in enumerate(messages):
@@ -129,10 +130,15 @@ def test_large_pictures_can_be_thinned_out() -> None:
     assert len(viewer.translate("hider/color", early)) == 1
 
 
-def test_state_images_have_the_palettes_colours(tmp_path: Path) -> None:
+def test_state_images_have_the_palettes_colours_and_each_robot_its_own(tmp_path: Path) -> None:
     indices = (np.arange(128 * 128) % 5).astype(np.uint8).reshape(128, 128)
-    found = shown(tmp_path, ("hider/view", StateImage(stamp=STAMP, data=indices.tobytes())))
-    assert np.array_equal(picture(found["hider/view"][0]), PALETTE[indices])
+    looks = arena_appearance()
+    for robot, own, other in (("hider", "hider", "seeker"), ("seeker", "seeker", "hider")):
+        found = shown(tmp_path / robot, (f"{robot}/view", StateImage(stamp=STAMP, data=indices.tobytes())))
+        image = picture(found[f"{robot}/view"][0])
+        assert np.array_equal(image[indices < OWN], PALETTE[indices[indices < OWN]])
+        assert (image[indices == OWN] == looks.robot_colors[own]).all()  # type: ignore[index]
+        assert (image[indices == OTHER] == looks.robot_colors[other]).all()  # type: ignore[index]
     nonsense = StateImage(stamp=STAMP, data=bytes([250]) * 128 * 128)
     assert len(shown(tmp_path, ("hider/view", nonsense))["hider/view"]) == 1
 
@@ -158,7 +164,7 @@ def test_the_value_map_is_a_grid_and_a_picture(tmp_path: Path) -> None:
     found = shown(tmp_path, ("hider/plan", Plan(stamp=STAMP, horizon=100, values=values, goal=13, path=path.tobytes())))
     (grid,) = found["hider/plan/values"]
     held = np.frombuffer(grid.data, "<f4").reshape(11, grid.column_count)
-    assert (grid.row_stride, grid.cell_size.x, grid.fields[0].name) == (44, pytest.approx(0.1), "value")
+    assert (grid.row_stride, grid.cell_size.x, grid.fields[0].name) == (44, pytest.approx(0.1), "danger")
     assert held[1, 2] == 13
     assert np.isnan(held[5, 5])
     # A cell's centre is its goal: the corner lies half a cell before goal 0 at (0.1, 0.1).
@@ -180,11 +186,13 @@ def test_a_plan_without_values_shows_its_path_only(tmp_path: Path) -> None:
 
 
 def test_predicted_views_stand_side_by_side(tmp_path: Path) -> None:
-    reply = PredictReply(stamp=STAMP, caught=b"", views=(bytes([1]) * 49152, bytes([2]) * 49152))
+    free, own, other = [PALETTE[index].tobytes() * (128 * 128) for index in (FREE, OWN, OTHER)]
+    reply = PredictReply(stamp=STAMP, caught=b"", views=(free, own, other))
     image = picture(shown(tmp_path, ("predictor/reply", reply))["predictor/views"][0])
-    assert image.shape == (128, 256, 3)
-    assert (image[:, :128] == 1).all()
-    assert (image[:, 128:] == 2).all()
+    assert image.shape == (128, 384, 3)
+    assert (image[:, :128] == 255).all()
+    assert (image[:, 128:256] == arena_appearance().robot_colors["seeker"]).all(), "whose view it is"
+    assert (image[:, 256:] == arena_appearance().robot_colors["hider"]).all()
 
 
 def test_words_are_said(tmp_path: Path) -> None:

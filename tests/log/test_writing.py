@@ -244,11 +244,9 @@ def test_a_flushed_message_is_in_the_file(tmp_path: Path) -> None:
     records = records_of(game(1, 2))
     for record in records:
         write_record(log, record)
-    with pytest.warns(match="breaks off"):
-        assert list(read(tmp_path / "log.mcap")) == []
+    assert list(read(tmp_path / "log.mcap")) == []
     log.flush()
-    with pytest.warns(match="breaks off"):
-        assert list(read(tmp_path / "log.mcap")) == records
+    assert list(read(tmp_path / "log.mcap")) == records
     log.close()
     assert list(read(tmp_path / "log.mcap")) == records
 
@@ -258,8 +256,7 @@ def test_writing_flushes_by_itself(tmp_path: Path) -> None:
     records = records_of(game(1, 2))
     for record in records:
         write_record(log, record)
-    with pytest.warns(match="breaks off"):
-        assert list(read(tmp_path / "log.mcap")) == records
+    assert list(read(tmp_path / "log.mcap")) == records
     log.close()
 
 

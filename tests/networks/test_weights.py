@@ -1,11 +1,14 @@
 """Weights are used only with the card that describes them; whatever else lies there is refused with a readable line."""
 
 import json
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import SelfPerspective, VptTob, VptTobSettings
@@ -81,6 +84,108 @@ def test_unusable_weights_are_refused_in_one_line(weights: Path, spoil: Callable
     assert "\n" not in str(caught.value)
 
 
+def test_weights_with_numbers_that_are_not_finite_are_refused(tmp_path: Path) -> None:
+    for value in (float("nan"), float("inf")):
+        network, path = VptTob(SMALL), tmp_path / "vpt-tob.safetensors"
+        with torch.no_grad():
+            network.view.bias[0] = value  # type: ignore[index]
+        save(network, path, card_of(network))
+        for loader in (load_any, lambda path: load(path, VptTob)):
+            with pytest.raises(UnusableWeights, match=r"hold numbers that are not finite, in `view.bias`: train again"):
+                loader(path)
+
+
+DEEP = "[" * 100_000 + "]" * 100_000
+
+
+@pytest.mark.parametrize(
+    ("card", "says"),
+    [
+        ('{"architecture": "vpn", "network": "text"}', "cannot be read"),
+        ('{"architecture": ["vpn"], "network": {}}', "cannot be read"),
+        ('{"architecture": "vpn", "network": {}, "notes": [1]}', "cannot be read"),
+        ('{"architecture": "vpn", "network": {}, "inputs": {"a": ["b"]}}', "cannot be read"),
+        (f'{{"architecture": "vpn", "network": {{"width": {DEEP}}}}}', "nested too deep"),
+        ('{"architecture": "vpn", "network": {}, "version": ' + "1" * 5000 + "}", "cannot be read"),
+        ('{"architecture": "\\u001b[31mvpn\\u001b[0m", "network": {}}', r"holds a \[31mvpn\[0m network"),
+        ("\udcff", "cannot be read"),
+    ],
+)
+def test_cards_that_are_no_cards_are_refused_in_one_line(weights: Path, card: str, says: str) -> None:
+    card_path(weights).write_bytes(card.encode(errors="surrogateescape"))
+    with pytest.raises(UnusableWeights, match=says) as caught:
+        load_any(weights)
+    assert "\n" not in str(caught.value) and "\x1b" not in str(caught.value) and len(str(caught.value)) < 1000
+
+
+@pytest.mark.parametrize(
+    ("architecture", "network"),
+    [
+        ("vpt-tob", {"width": 1e300}),
+        ("vpt-tob", {"width": 4000.0}),
+        ("vpt-tob", {"encoder": [4] * 7}),
+        ("vpt-tob", {"encoder": [[4]] * 8}),
+        ("vpt-tob", {"width": "wide"}),
+        ("vpt-tob", {"caught_head": "yes"}),
+        ("vpn", {"dropout": 7.5}),
+        ("vpn", {"width": 10**12}),
+        ("hazard-attention", {"heads": 0}),
+        ("hazard-attention", {"heads": 7}),
+        ("coordinate-value", {"variant": "middle"}),
+    ],
+)
+def test_settings_of_no_network_are_refused_before_memory_is_taken_for_it(
+    weights: Path, architecture: str, network: dict[str, object]
+) -> None:
+    change_card(weights, architecture=architecture, network=network)
+    with pytest.raises(UnusableWeights, match="do not fit the network of their card") as caught:
+        load_any(weights)
+    assert "\n" not in str(caught.value)
+
+
+_JSON = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=8),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=8), inner, max_size=4),
+    max_leaves=8,
+)
+_SETTINGS = ("encoder", "decoder", "width", "whole_image", "caught_head", "hidden", "dropout", "heads", "layers", "variant")
+
+
+@settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_whatever_a_card_holds_the_weights_load_or_are_refused_in_one_line(weights: Path, data: st.DataObject) -> None:
+    whole = json.loads(card_path(weights).read_text())
+    changed = data.draw(st.dictionaries(st.sampled_from(sorted(whole)), _JSON, max_size=3), "card")
+    network = data.draw(st.none() | st.dictionaries(st.sampled_from(_SETTINGS), _JSON, max_size=3), "network")
+    card = {**whole, "architecture": data.draw(st.sampled_from(sorted(ARCHITECTURES)), "architecture"), **changed}
+    if network is not None:
+        card["network"] = network
+    spoilt = weights.with_name("spoilt.safetensors")
+    spoilt.write_bytes(weights.read_bytes())
+    card_path(spoilt).write_text(json.dumps(card))
+    refusal = ""
+    try:
+        load_any(spoilt)
+    except UnusableWeights as error:
+        refusal = str(error)
+    assert "\n" not in refusal
+
+
+def test_a_full_disk_leaves_the_pair_before_it(weights: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    before = {path.name: path.read_bytes() for path in weights.parent.iterdir()}
+
+    def full(*_: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    for name in ("fsync", "open"):
+        with monkeypatch.context() as broken:
+            broken.setattr(os, name, full)
+            with pytest.raises(OSError, match="No space left on device"):
+                save(VptTob(SMALL), weights, card_of(VptTob(SMALL)))
+        assert {path.name: path.read_bytes() for path in weights.parent.iterdir()} == before
+    load(weights, VptTob)
+
+
 def test_damaged_tensors_under_a_matching_card_are_refused(weights: Path) -> None:
     import hashlib
 
@@ -97,8 +202,8 @@ def test_the_released_weights_load(name: str) -> None:
 
 
 def test_every_architecture_comes_back_and_none_is_taken_for_another(tmp_path: Path) -> None:
-    for name, (make, settings) in ARCHITECTURES.items():
-        network = make(settings())
+    for name, (make, shape) in ARCHITECTURES.items():
+        network = make(shape())
         assert network.architecture == name
         save(network, tmp_path / f"{name}.safetensors", card_of(network))
         again, card = load_any(tmp_path / f"{name}.safetensors")

@@ -24,9 +24,22 @@ from tests.perception.scenes import (
     random_scene,
 )
 from vantage.perception.action_maps import transform_image, transform_path
-from vantage.perception.palette import BOUNDARY, FREE, INVISIBLE, OTHER, OWN, PALETTE, PIXEL_SIZE, from_rgb, to_rgb
+from vantage.perception.palette import (
+    BOUNDARY,
+    FREE,
+    INVISIBLE,
+    OTHER,
+    OWN,
+    PALETTE,
+    PIXEL_SIZE,
+    from_rgb,
+    to_rgb,
+    view_for_people,
+    view_palette,
+)
 from vantage.perception.scan import find_other, scan_columns
 from vantage.perception.state_image import draw, perceive
+from vantage.world.arena import ROBOT_COLORS
 from vantage.world.camera import Camera
 
 K = NARROW.intrinsics()
@@ -276,6 +289,17 @@ def test_other_principal_points_and_a_single_column_work() -> None:
     shifted = msgspec.structs.replace(depth.intrinsics, cx=0.0)
     moved = perceive(msgspec.structs.replace(depth, intrinsics=shifted), color, pose, "hider")
     assert np.sum(moved.image == OWN) > 100
+
+
+def test_people_see_each_robot_in_one_colour_whoever_looks_and_networks_see_what_they_were_trained_on() -> None:
+    assert PALETTE.tolist() == [[0, 0, 255], [255, 255, 255], [0, 0, 0], [0, 255, 0], [255, 0, 0]]
+    for looking, other in (("hider", "seeker"), ("seeker", "hider")):
+        seen = view_palette(looking)  # type: ignore[arg-type]
+        assert (tuple(seen[OWN]), tuple(seen[OTHER])) == (ROBOT_COLORS[looking], ROBOT_COLORS[other])  # type: ignore[index]
+        np.testing.assert_array_equal(seen[:OWN], PALETTE[:OWN])
+        np.testing.assert_array_equal(view_for_people(PALETTE, looking), seen)  # type: ignore[arg-type]
+    blurred = view_for_people(np.array([255, 128, 128], np.uint8), "seeker").astype(int)  # half the hider on free floor
+    assert blurred[1] > max(blurred[0], blurred[2]) + 50
 
 
 def test_colors_and_indices_are_each_others_inverse() -> None:

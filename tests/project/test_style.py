@@ -15,7 +15,6 @@ SOURCES = ("schemas", "vantage", "services", "learning", "tests", "benchmarks", 
 @pytest.mark.parametrize(
     "command", [("ruff", "check", *SOURCES), ("ruff", "format", "--check", *SOURCES), ("mypy",)], ids=["lint", "format", "types"]
 )
-@pytest.mark.timeout(400)
 def test_clean(command: tuple[str, ...]) -> None:
     tool = Path(sys.executable).parent / command[0]
     outcome = subprocess.run([tool, *command[1:]], cwd=ROOT, capture_output=True, text=True, check=False)

@@ -35,7 +35,7 @@ def test_in_the_background_of_a_shell_it_leaves_the_terminal_alone(where: str, s
     try:
         shell = [sys.executable, "-c", SHELL, where]
         outcome = subprocess.run(
-            shell, stdin=follower, capture_output=True, text=True, start_new_session=True, timeout=30, check=False
+            shell, stdin=follower, capture_output=True, text=True, start_new_session=True, timeout=120, check=False
         )
         assert outcome.stdout == said, outcome.stderr
     finally:

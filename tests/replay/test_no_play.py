@@ -7,7 +7,7 @@ import pytest
 from tests.stack.table import wish
 from vantage.bus import InProcessNetwork
 from vantage.deployment import DeploymentError
-from vantage.play import Match
+from vantage.match import Match
 
 
 def test_no_games_are_played_in_a_replay() -> None:

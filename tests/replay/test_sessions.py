@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from vantage.bus.zenoh_bus import ZenohBus
-from vantage.deployment import CONFIGURATION, Deployment, configuration_of, with_extra_arguments
+from vantage.deployment import CONFIGURATION, Deployment, configuration_of
+from vantage.process_table import with_extra_arguments
 from vantage.replay.hosting import check_arena
 from vantage.replay.sessions import Sessions
 from vantage.replay.trouble import ReplayError

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 import msgspec
@@ -82,7 +83,8 @@ def structs(kind: type[msgspec.Struct]) -> st.SearchStrategy[Any]:
                 pair = st.tuples(st.integers(0, chosen["path_count"] - 1), st.integers(0, len(chosen["horizons"]) - 1))
                 chosen["views"] = tuple(draw(st.lists(pair, max_size=3)))
             case "PredictReply":
-                chosen["caught"] = draw(st.integers(0, 5).flatmap(lambda n: _bytes_of(4 * n) if n else st.just(b"")))
+                chances = draw(st.lists(st.floats(0, 1, width=32), max_size=5))
+                chosen["caught"] = struct.pack(f"<{len(chances)}f", *chances)
                 chosen["views"] = tuple(draw(st.lists(_bytes_of(3 * _BIG), max_size=1)))
         return kind(**chosen)
 

@@ -53,7 +53,7 @@ class Arena:
     """A game without end on a real bus, the console as a process, an observer, and an honest page.
 
     Args:
-        host: what the console is bound to; other than 127.0.0.1 it wants a token.
+        host: what the console is bound to.
     """
 
     def __init__(self, period: float = 0.1, host: str = "127.0.0.2", camera: Camera | None = None) -> None:

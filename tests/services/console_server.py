@@ -14,7 +14,8 @@ from services.console.server import PageServer, ServerSettings
 from tests.services.console_game import parse
 from tests.services.console_socket import BINARY, Socket, Target, head
 
-PATIENCE = 10.0
+PATIENCE = 120.0
+"""Seconds until a wait fails: no test is to depend on how fast the machine is."""
 
 
 class Console:

@@ -10,6 +10,7 @@ import socket
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from urllib.parse import urlsplit
 
 PATIENCE = 5.0
 TEXT, BINARY, CLOSE, PING, PONG, CONTINUATION = 1, 2, 8, 9, 10, 0
@@ -21,8 +22,15 @@ class Target:
 
     host: str
     port: int
-    token: str = ""
+    token: str
     held: list[socket.socket] = field(default_factory=list)
+
+    @classmethod
+    def at(cls, address: str) -> Target:
+        """Return the target of the address that a console has printed."""
+        parts = urlsplit(address)
+        assert parts.hostname is not None and parts.port is not None
+        return cls(parts.hostname, parts.port, parts.fragment.removeprefix("token="))
 
     @property
     def name(self) -> str:
@@ -47,7 +55,7 @@ def upgrade(target: Target, **changed: str | None) -> bytes:
         "Connection": "Upgrade",
         "Sec-WebSocket-Version": "13",
         "Sec-WebSocket-Key": base64.b64encode(os.urandom(16)).decode(),
-        "Sec-WebSocket-Protocol": ", ".join(["vantage", *([target.token] if target.token else [])]),
+        "Sec-WebSocket-Protocol": f"vantage, {target.token}",
         **{name.replace("_", "-"): value for name, value in changed.items()},
     }
     return head("GET /bus HTTP/1.1", {name: value for name, value in headers.items() if value is not None})

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from schemas import Command, Control, Episode, Health, Pose, Rules, Tick
 from services.referee.core import RefereeCore, RefereeSettings
-from vantage.service import Arrived, Changed, Publish, Send, Woken
+from vantage.service import SECOND, Arrived, Changed, Publish, Send, Woken
 
 REQUIRED = ("simulator", "seeker", "planner")
 
@@ -32,6 +32,16 @@ class Table:
         assert wake is not None
         self.now = max(self.now, wake)
         return self.send(Woken())
+
+    def wait(self, *each_second: object) -> list[object]:
+        """Let time go by, and come in each second what services say of themselves, until the referee says something."""
+        said: list[object] = []
+        while not said:
+            self.now += SECOND
+            for received in each_second:
+                self.send(received)
+            said = self.send(Woken())
+        return said
 
     def pose(self, robot: str, x: float, step: int, episode: int = 1) -> list[object]:
         return self.send(Arrived(f"{robot}/pose", Pose(stamp=self.now, episode=episode, step=step, x=x, y=0.5, heading=0.0)))

@@ -34,5 +34,5 @@ def play(table: EmulatedTable, hider: Primitive, seeker: Primitive = "stay", ste
     return dict(table.motions)
 
 
-def ask_for_games(table: EmulatedTable, games: int = 1) -> None:
-    table.say("control", Control(stamp=table.now, action="start", games=games))
+def ask_for_games(table: EmulatedTable, games: int = 1, request: str = "") -> None:
+    table.say("control", Control(stamp=table.now, action="start", games=games, request=request))

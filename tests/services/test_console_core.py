@@ -32,7 +32,7 @@ from services.console.reports import SILENCE
 from services.seeker.policy import PRESETS
 from tests.services.console_game import STEPS, Table, health, parse, play
 from tests.stack.absurd import shaped
-from vantage.perception.palette import PALETTE
+from vantage.perception.palette import OTHER, OWN, PALETTE
 from vantage.service import SECOND, Arrived, Captured, Write
 
 
@@ -103,8 +103,11 @@ def test_the_welcome_says_what_a_page_needs_to_draw(table: Table) -> None:
     page = "".join(path.read_text() for path in FOLDER.rglob("*.js"))
     assert not [name for name in (*welcome, *limits) if not re.search(rf"\b{name}\b", page)]
     assert len(welcome["goals"]) == GOAL_COUNT
-    assert welcome["palette"] == PALETTE.tolist()
-    assert len(welcome["palette_names"]) == len(PALETTE)
+    assert welcome["palette_names"][OWN:] == ["hider", "seeker"]
+    for robot, colors in welcome["palettes"].items():
+        other = "seeker" if robot == "hider" else "hider"
+        assert colors[:OWN] == PALETTE[:OWN].tolist()
+        assert (colors[OWN], colors[OTHER]) == (welcome["robot_colors"][robot], welcome["robot_colors"][other]), "whoever looks"
     assert welcome["field_of_view"] == pytest.approx(1.501, abs=1e-3)
 
 
@@ -174,12 +177,12 @@ def rows(table: Table) -> dict[str, dict[str, Any]]:
 def test_a_service_is_silent_after_two_and_a_half_seconds(table: Table) -> None:
     lossy = health("tracker", table.now, "degraded", "the overhead camera is dark")
     counts = (InputHealth(key="episode", lost=2, malformed=1), InputHealth(key="tick", lost=3))
-    table.say("tracker", [("health/tracker", replace(lossy, inputs=counts))])
+    table.say("tracker", [("health/tracker", replace(lossy, inputs=counts, unexpected=4, failed=2))])
     heard = table.now
     table.run_for(1.0)
     row = rows(table)["tracker"]
     assert (row["state"], row["reason"]) == ("degraded", "the overhead camera is dark")
-    assert (row["lost"], row["malformed"], row["uptime"]) == (5, 1, 5.0)
+    assert (row["lost"], row["bad"], row["uptime"]) == (5, 7, 5.0), "all that `vantage status` counts"
     table.run_for(3.0)
     row = rows(table)["tracker"]
     assert row["state"] == "silent"
@@ -228,7 +231,7 @@ def test_health_tells_of_a_missing_server_and_of_refusals_for_ten_seconds(table:
     assert core.trouble == ""
     table.bus.post(Captured(PAGE, Refusals({"wrong origin": 3}), table.now))
     # A browser's own question for a file that no page names, a laptop that sleeps, a wish that was answered: no trouble.
-    harmless = {"no such file": 7, "gone silent": 2, "malformed request": 1}
+    harmless = {"no such file": 7, "gone silent": 2, "malformed request": 1, "no token": 4, "wrong token": 9}
     table.bus.post(Captured(PAGE, Refusals({"wrong origin": 5, "too fast": 1, **harmless}), table.now))
     table.settle()
     assert core.trouble == "6 requests refused in the last 10 s (wrong origin 5, too fast 1)"

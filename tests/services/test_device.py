@@ -15,7 +15,7 @@ from vantage.bus import InProcessNetwork, VirtualClock
 from vantage.service import Captured, Declaration, DeviceLost, Received, Runtime, Send, Write, device
 from vantage.service.device import DeviceThread
 
-PATIENCE = 10.0
+PATIENCE = 120.0
 OPENED = Captured("camera", None, 0)
 
 

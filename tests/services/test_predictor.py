@@ -11,13 +11,15 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from schemas import PredictReply, PredictRequest
+from services.predictor.__main__ import make_core
 from services.predictor.batching import distinct_queries
 from services.predictor.core import PredictorCore, PredictorSettings
 from vantage.networks.inference import Inference
 from vantage.networks.inputs import CHANNELS, render_inputs
 from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import VptTob, VptTobSettings
-from vantage.service import Answer, Asked, Publish, Refuse, Send, Woken
+from vantage.networks.weights import card_of, save
+from vantage.service import Answer, Asked, CannotStart, Publish, Refuse, Send, Woken
 
 BATCH = 8
 
@@ -170,6 +172,59 @@ def test_networks_that_fail_refuse_what_waits_and_answer_the_next(networks: Infe
     core.step(Asked("predictor", make_request(), 2), 0)
     assert any(isinstance(send, Answer) and send.token == 2 for send in wake_until_idle(core))
     assert not core.trouble
+
+
+def test_an_answer_that_is_no_number_is_never_given(networks: Inference, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every goal looked blocked, and the game was aborted for "no command from the hider"."""
+    answer = Inference.answer
+
+    def spoilt(self: Inference, views: NDArray[np.int64]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        caught, pictures = answer(self, views)
+        caught[0] = np.nan
+        return caught, pictures
+
+    core = PredictorCore(networks)
+    with monkeypatch.context() as broken:
+        broken.setattr(Inference, "answer", spoilt)
+        core.step(Asked("predictor", make_request(), 1), 0)
+        (refused,) = core.step(Woken(), 0)
+    assert isinstance(refused, Refuse) and "not finite, so the weights are no good" in refused.reason
+    assert "not finite" in core.trouble and core.wake_at() is None
+    core.step(Asked("predictor", make_request(), 2), 0)
+    assert any(isinstance(send, Answer) for send in wake_until_idle(core)) and not core.trouble
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), -0.01, 1.01])
+def test_a_reply_holds_probabilities(value: float) -> None:
+    PredictReply(stamp=0, caught=np.array([0.0, 1.0], "<f4").tobytes())
+    with pytest.raises(ValueError, match=r"caught must hold probabilities in 0..1"):
+        PredictReply(stamp=0, caught=np.array([0.5, value], "<f4").tobytes())
+
+
+def test_weights_that_answer_no_number_do_not_start(tmp_path: Path) -> None:
+    network = VptTob(VptTobSettings(width=0.25))
+    network.encoder[0].down_norm.running_var.fill_(-1.0)  # type: ignore[index, union-attr]
+    for stem, each in (("vpt-tob", network), ("vpn", Vpn(VpnSettings(width=4)))):
+        save(each, tmp_path / f"{stem}.safetensors", card_of(each))
+    with pytest.raises(CannotStart, match="not finite, so the weights are no good"):
+        make_core(PredictorSettings(weights=tmp_path, threads=1))
+
+
+def test_one_core_is_one_thread(tmp_path: Path) -> None:
+    """`taskset -c 0`, or a container's share: as many threads as the process may use cores, not as many as there are."""
+    program = """
+import os, torch
+os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
+from learning.methods.machine import Machine
+from services.predictor.core import PredictorSettings
+from vantage.networks.inference import Inference
+from vantage.networks.vpn import Vpn, VpnSettings
+from vantage.networks.vpt_tob import VptTob, VptTobSettings
+inference = Inference(VptTob(VptTobSettings(width=0.25)), Vpn(VpnSettings(width=4)), 64, PredictorSettings().threads)
+print(inference.threads, inference._pool._max_workers, torch.get_num_threads(), Machine.fastest().threads)
+"""
+    finished = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=200, check=True)
+    assert finished.stdout == "1 1 1 1\n"
 
 
 def test_absurd_requests_are_refused_and_the_next_is_answered(networks: Inference) -> None:

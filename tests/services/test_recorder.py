@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -16,16 +17,19 @@ from pathlib import Path
 import pytest
 from mcap.reader import make_reader
 
-from schemas import Health, Pose, encode
+from schemas import Gap, Health, Pose, encode
 from services.recorder.core import RecorderCore, RecorderSettings, log_path, weights_hash
+from tests.log.disks import small_disk
 from tests.log.making import game
 from vantage.bus import InProcessNetwork, Lost, Sample, VirtualClock
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.log import BrokenLog, Record, find_logs, open_log, read
 from vantage.log.report import info
-from vantage.service import SECOND, Publish, Runtime, Woken
+from vantage.service import SECOND, Publish, Runtime, Send, Woken
 
 NOW = 1_800_000_000 * SECOND
+PATIENCE = 120.0
+"""Seconds that bound a failure only: a busy machine is slow, not wrong."""
 
 
 def core(folder: Path, **options: object) -> RecorderCore:
@@ -108,8 +112,7 @@ def test_it_flushes_each_second_without_being_spoken_to(tmp_path: Path) -> None:
     assert recorder.wake_at() == NOW + SECOND
     recorder.step(Woken(), NOW + SECOND)
     assert recorder.wake_at() == NOW + 2 * SECOND
-    with pytest.warns(BrokenLog, match="breaks off"):
-        assert len(list(read(tmp_path / "logs"))) == 1
+    assert len(list(read(tmp_path / "logs"))) == 1
     recorder.close()
 
 
@@ -132,6 +135,79 @@ def test_a_full_disk_is_trouble_in_health(tmp_path: Path, monkeypatch: pytest.Mo
     recorder.step(pose, NOW + 2 * SECOND)
     recorder.step(Woken(), NOW + 2 * SECOND)
     assert runtime.health_report("ok").state == "ok"
+    recorder.close()
+
+
+POSE = encode(Pose(stamp=1, x=0.0, y=0.0, heading=0.0))
+
+
+def hear(recorder: RecorderCore, count: int, number: int, at: int) -> list[Gap]:
+    """Let it hear poses, then wake it at a time; return the losses that it announces."""
+    sends: list[Send] = []
+    for place in range(number, number + count):
+        sends += recorder.step(Sample("hider/pose", POSE, "simulator", place, at, Pose), at - 1)
+    sends += recorder.step(Woken(), at)
+    return [send.message for send in sends if isinstance(send, Publish) and isinstance(send.message, Gap)]
+
+
+def test_a_full_disk_from_the_start_to_its_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    """It starts, is degraded with the reason, announces each loss, and records as soon as there is room."""
+    clock = VirtualClock(NOW)
+    with small_disk(tmp_path / "disk", monkeypatch) as disk:
+        disk.fill()
+        recorder = core(disk.folder)
+        runtime = Runtime(recorder, InProcessNetwork(clock=clock).session("recorder"), clock)
+        full = f"the disk is full: no room in {disk.folder / 'logs'}; messages dropped so far: "
+        assert (runtime.health_report("ok").state, runtime.health_report("ok").reason) == ("degraded", full + "0")
+        for second in range(1, 5):
+            (gap,) = hear(recorder, 100, 100 * second, NOW + second * SECOND)
+            assert (gap.key, gap.publisher, gap.missed) == ("hider/pose", "simulator", 100)
+            assert runtime.health_report("ok").reason == f"{full}{100 * second}"
+        disk.free()
+        assert hear(recorder, 100, 500, NOW + 5 * SECOND) == []
+        assert hear(recorder, 100, 600, NOW + 6 * SECOND) == []
+        assert runtime.health_report("ok").state == "ok"
+        recorder.close()
+        records = list(read(disk.folder / "logs"))
+    assert [record.sequence for record in records if record.key == "hider/pose"] == list(range(500, 700))
+    missed = [record.decode().missed for record in records if record.key == "gap"]  # type: ignore[attr-defined]
+    assert missed == [400]
+    lines = [record.getMessage() for record in caplog.records]
+    assert lines == [f"recorder: {full}0", "recorder: the log is being written again"]
+
+
+def test_a_deleted_folder_is_trouble_in_health_and_recording_goes_on(tmp_path: Path) -> None:
+    clock = VirtualClock(NOW)
+    recorder = core(tmp_path)
+    runtime = Runtime(recorder, InProcessNetwork(clock=clock).session("recorder"), clock)
+    assert hear(recorder, 100, 0, NOW + SECOND) == []
+    shutil.rmtree(tmp_path / "logs")
+    (gap,) = hear(recorder, 10, 100, NOW + 2 * SECOND)
+    assert gap.missed == 110
+    health = runtime.health_report("ok")
+    assert health.state == "degraded"
+    assert "was deleted with 110 messages while it was being written; the log goes on in table-" in health.reason
+    assert hear(recorder, 10, 110, NOW + 3 * SECOND) == []
+    assert runtime.health_report("ok").state == "degraded"
+    assert hear(recorder, 10, 120, NOW + 13 * SECOND) == []
+    assert runtime.health_report("ok").state == "ok"
+    recorder.close()
+    records = list(read_quietly(tmp_path / "logs"))
+    assert [record.sequence for record in records if record.key == "hider/pose"] == list(range(110, 130))
+    assert sum(record.decode().missed for record in records if record.key == "gap") == 110  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize(("readable_by", "modes"), [("owner", "700 600"), ("group", "750 640"), ("everyone", "755 644")])
+def test_who_may_read_the_logs_is_a_setting(tmp_path: Path, readable_by: str, modes: str) -> None:
+    umask = os.umask(0o022)
+    try:
+        recorder = core(tmp_path, readable_by=readable_by)
+    finally:
+        os.umask(umask)
+    paths = (tmp_path / "logs", recorder.writer.part)
+    assert " ".join(f"{path.stat().st_mode & 0o777:o}" for path in paths) == modes
     recorder.close()
 
 
@@ -174,23 +250,28 @@ def start(folder: Path, *options: str) -> subprocess.Popen[str]:
     return subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
 
 
-def await_recorder(bus: ZenohBus, uptime: float = 0.0) -> Health:
-    """Wait until the recorder says it is well."""
-    deadline = time.monotonic() + 20
+def await_recorder(bus: ZenohBus, uptime: float = 0.0, state: str = "ok") -> Health:
+    """Wait until the recorder is well, or in another state."""
+    deadline = time.monotonic() + PATIENCE
     while time.monotonic() < deadline:
         event = bus.receive(0.2)
         if isinstance(event, Sample) and event.key == "health/recorder":
             health = event.decode()
             assert isinstance(health, Health)
-            if health.state == "ok" and health.uptime >= uptime and bus.has_reader("hider/pose"):
+            if health.state == state and health.uptime >= uptime and bus.has_reader("hider/pose"):
                 return health
     raise AssertionError("the recorder does not come up")
 
 
-def quiet_read(path: Path) -> list[Record]:
+def read_quietly(path: Path) -> list[Record]:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", BrokenLog)
         return list(read(path))
+
+
+def sequences_of_poses(folder: Path) -> set[int]:
+    """Sequence numbers of the poses that can be read back, also while the log is being written."""
+    return {record.sequence for record in read_quietly(folder / "logs") if record.key == "hider/pose"}
 
 
 def pose(number: int) -> Pose:
@@ -213,7 +294,7 @@ def test_the_process_records_strangers_and_ends_on_sigterm(folder: Path) -> None
             health = await_recorder(bus)
         assert {item.key: item.received for item in health.inputs}["hider/pose"] == 300
         recorder.send_signal(signal.SIGTERM)
-        assert recorder.wait(2.0) == 0
+        assert recorder.wait(PATIENCE) == 0
     records = list(read(folder / "logs"))
     assert [record.sequence for record in records if record.key == "hider/pose"] == list(range(300))
     assert [(r.payload, r.well_formed) for r in records if r.key == "stranger/key"] == [(b"who am I", False)]
@@ -224,43 +305,58 @@ def test_the_process_records_strangers_and_ends_on_sigterm(folder: Path) -> None
 
 
 @pytest.mark.stack
-def test_a_killed_recorder_loses_at_most_a_second_and_its_successor_goes_on(folder: Path) -> None:
+def test_a_killed_recorder_keeps_what_it_had_flushed_and_its_successor_goes_on(folder: Path) -> None:
     first = start(folder)
     with ZenohBus("simulator", folder) as bus:
         bus.subscribe("health/recorder")
         await_recorder(bus)
-        published = {}
-        number = 0
-        deadline = time.monotonic() + 2.5
-        while time.monotonic() < deadline:
+        for number in range(200):
             bus.publish("hider/pose", pose(number))
-            published[number] = time.time_ns()
-            number += 1
-            bus.receive(0.01)
+        # It flushes each second (see above): what is in the file before it is killed has to be there afterwards.
+        deadline = time.monotonic() + PATIENCE
+        while len(sequences_of_poses(folder)) < 200:
+            assert time.monotonic() < deadline, "it does not flush"
+            bus.publish("hider/pose", pose(number := number + 1))
+            bus.receive(0.05)
+        kept = sequences_of_poses(folder)
         os.kill(first.pid, signal.SIGKILL)
-        killed = time.time_ns()
-        first.wait()
-        kept = {record.sequence for record in quiet_read(folder / "logs") if record.key == "hider/pose"}
-        assert kept >= {number for number, at in published.items() if at < killed - 1.3 * SECOND}
+        first.communicate()
+        assert sequences_of_poses(folder) >= kept >= set(range(200))
+        number += 1
         second = start(folder)
         await_recorder(bus)
         bus.publish("hider/pose", pose(number))
         await_recorder(bus, uptime=1.0)
         second.send_signal(signal.SIGTERM)
-        assert second.wait(2.0) == 0
+        assert second.wait(PATIENCE) == 0
     assert len(find_logs(folder / "logs")) == 2
     newest = max((folder / "logs").iterdir(), key=lambda path: path.stat().st_mtime)
     assert number in {record.sequence for record in read(newest) if record.key == "hider/pose"}
 
 
 @pytest.mark.stack
+def test_a_folder_that_cannot_be_written_is_said_in_health(folder: Path) -> None:
+    (folder / "file").write_text("in the way")
+    recorder = start(folder, "--logs", str(folder / "file"))
+    with ZenohBus("simulator", folder) as bus:
+        bus.subscribe("health/recorder")
+        health = await_recorder(bus, state="degraded")
+        assert f"{folder / 'file'}: " in health.reason
+        (folder / "file").unlink()
+        await_recorder(bus)
+        recorder.send_signal(signal.SIGTERM)
+        assert recorder.wait(2.0) == 0
+    assert len(find_logs(folder / "file")) == 1
+
+
+@pytest.mark.stack
 @pytest.mark.parametrize(
     ("options", "told"),
-    [(("--logs", "/proc/nowhere"), "recorder cannot start: "), (("--split-megabytes", "many"), "--split-megabytes")],
+    [(("--readable-by", "all"), "--readable-by"), (("--split-megabytes", "many"), "--split-megabytes")],
 )
 def test_what_is_wrong_is_said_at_the_start(folder: Path, options: tuple[str, ...], told: str) -> None:
     recorder = start(folder, *options)
-    _, said = recorder.communicate(timeout=20)
+    _, said = recorder.communicate(timeout=PATIENCE)
     assert recorder.returncode != 0
     assert told in said
     assert "Traceback" not in said

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from schemas import Control, Episode, Layout, Rules, Tick
 from tests.services.referee_table import REQUIRED, Table, start
-from vantage.service import SECOND, Arrived, Changed, Unexpected
+from vantage.service import SECOND, Arrived, Changed, Unexpected, Woken
 
 
 def test_no_game_before_every_required_service_is_alive() -> None:
@@ -131,9 +131,25 @@ def test_a_second_wish_replaces_the_running_game() -> None:
     table = Table()
     table.arrive()
     table.send(Arrived("control", Control(stamp=0, action="start", seed=42)))
+    table.now += SECOND
     aborted, setup = table.send(Arrived("control", Control(stamp=0, action="start", seed=77)))
     assert isinstance(aborted, Episode) and isinstance(setup, Episode)
     assert aborted.phase == "aborted" and (setup.seed, setup.episode) == (77, 2)
+
+
+def test_a_flood_of_wishes_sets_up_no_more_games_than_the_world_can_answer() -> None:
+    table = Table()
+    table.arrive()
+    said: list[object] = []
+    for seed in range(10_000):
+        table.now += SECOND // 10_000
+        said += table.ask("start", seed=seed)
+        if (wake := table.core.wake_at()) is not None and wake <= table.now:
+            said += table.send(Woken())
+    assert len([message for message in said if isinstance(message, Episode) and message.phase == "setup"]) <= 11
+    while table.core.wake_at() is not None and said[-1].seed != 9999:  # type: ignore[attr-defined]
+        said += table.wake()
+    assert isinstance(said[-1], Episode) and (said[-1].phase, said[-1].seed) == ("setup", 9999), "the last one is played"
 
 
 def test_strangers_messages_are_set_aside() -> None:

@@ -20,7 +20,7 @@ def test_no_game_without_a_driver() -> None:
 def test_one_of_two_services_embodies_the_robots() -> None:
     for world in ("simulator", "tracker"):
         core = RefereeCore(RefereeSettings(autoplay=True, required=("simulator|tracker", "seeker"), settle=0.0))
-        assert core.step(Woken(), 0) == () and core.step(Woken(), 0) == []
+        assert not core.step(Woken(), 0) and not core.step(Woken(), 0)
         assert messages(core.step(Changed("seeker", True), 0)) == []
         (setup,) = messages(core.step(Changed(world, True), 0))
         assert isinstance(setup, Episode)

@@ -108,6 +108,7 @@ def test_stop_and_start_end_a_pause() -> None:
     (setup,) = table.ask("start", seed=9, games=2)
     assert isinstance(setup, Episode) and setup.phase == "setup"
     table.ask("pause")
+    table.now += SECOND
     aborted, setup = table.ask("start", seed=7)
     assert isinstance(aborted, Episode) and isinstance(setup, Episode)
     assert (aborted.phase, aborted.paused, setup.phase, setup.seed) == ("aborted", False, "setup", 7)

@@ -6,11 +6,13 @@ import math
 import os
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 
-from schemas import ROBOTS, ColorImage, DepthImage
-from services.rehearsal.core import CameraSettings, RehearsalCore
+from schemas import ROBOTS, ColorImage, DepthImage, Intrinsics
+from services.rehearsal.cameras import Cameras
+from services.rehearsal.core import CAMERAS, CameraSettings, Exposure, RehearsalCore
 from services.rehearsal.devices import Faults, Line, Truth
 from services.rehearsal.preparation import Prepared, TableSettings, calibrate_rgbd, prepare_table
 from services.rehearsal.world import World
@@ -31,14 +33,41 @@ def prepared() -> Prepared:
 
 def make(prepared: Prepared, **settings: float) -> RehearsalCore:
     world = World(prepared.obstacles, prepared.starts, seed=3)
-    return RehearsalCore(world, prepared.obstacles, prepared.scene, prepared.cameras, CameraSettings(**settings))  # type: ignore[arg-type]
+    return RehearsalCore(world, CameraSettings(**settings))  # type: ignore[arg-type]
 
 
-def run(core: RehearsalCore, start: int, seconds: float, period: int = 10 * MILLISECOND) -> list[Publish | Write]:
+def run(
+    core: RehearsalCore,
+    start: int,
+    seconds: float,
+    cameras: Cameras | None = None,
+    drawing: int = 0,
+    period: int = 10 * MILLISECOND,
+) -> list[Publish | Write]:
+    """Let the table's time pass; each frame takes `drawing` ns, and is blank without cameras."""
     sends: list[Publish | Write] = []
+    drawn: list[tuple[int, Captured]] = []
     for now in range(start, start + int(seconds * SECOND), period):
-        sends.extend(core.step(Woken(), now))  # type: ignore[arg-type]
+        events = [captured for due, captured in drawn if due <= now]
+        drawn = [(due, captured) for due, captured in drawn if due > now]
+        for event in (*events, Woken()):
+            for send in core.step(event, now):
+                if isinstance(send, Write) and send.device == CAMERAS:
+                    frames = blank(send.data) if cameras is None else cameras.draw(send.data)
+                    drawn.append((now + drawing, Captured(CAMERAS, frames, now)))
+                sends.append(send)  # type: ignore[arg-type]
     return sends
+
+
+def blank(data: bytes) -> list[tuple[str, ColorImage | DepthImage]]:
+    """Frames of one pixel."""
+    exposure = msgspec.msgpack.decode(data, type=Exposure)
+    size = {"stamp": exposure.stamp, "width": 1, "height": 1, "intrinsics": Intrinsics(fx=1.0, fy=1.0, cx=0.5, cy=0.5)}
+    color, depth = ColorImage(**size, data=bytes(3)), DepthImage(**size, data=bytes(2))
+    if exposure.camera == "overhead camera":
+        return [("overhead/color", color)]
+    robot = exposure.camera.partition(" ")[0]
+    return [(f"{robot}/camera/depth", depth), (f"{robot}/camera/color", color)]
 
 
 def frames(sends: list[Publish | Write]) -> dict[str, list[ColorImage | DepthImage]]:
@@ -51,12 +80,34 @@ def frames(sends: list[Publish | Write]) -> dict[str, list[ColorImage | DepthIma
 
 
 def test_frames_come_at_their_rates_in_pairs_of_one_stamp(prepared: Prepared) -> None:
-    seen = frames(run(make(prepared, overhead_rate=10.0, camera_rate=5.0), START, 2.0))
+    cameras = Cameras(prepared.obstacles, prepared.scene, prepared.cameras, seed=1)
+    seen = frames(run(make(prepared, overhead_rate=10.0, camera_rate=5.0), START, 2.0, cameras))
     assert len(seen["overhead/color"]) in (19, 20)
     for robot in ROBOTS:
         depth, color = seen[f"{robot}/camera/depth"], seen[f"{robot}/camera/color"]
         assert len(depth) in (9, 10)
         assert [frame.stamp for frame in depth] == [frame.stamp for frame in color]
+        assert (depth[0].width, depth[0].height) == (color[0].width, color[0].height) == (640, 480)
+    assert (seen["overhead/color"][0].width, seen["overhead/color"][0].height) == (1280, 720)
+
+
+def test_where_drawing_is_slow_lines_are_answered_and_every_second_picture_is_from_above(prepared: Prepared) -> None:
+    """A busy machine: a frame takes 150 ms. Robots that did not answer meanwhile were taken for switched off."""
+    core = make(prepared)
+    core.step(Captured("hider line", encode(SetSpeeds(1, 0, 0)), START), START)
+    sends = run(core, START, 6.0, drawing=150 * MILLISECOND)
+    seen = frames(sends)
+    assert len(seen["overhead/color"]) >= 0.45 * len([send for send in sends if isinstance(send, Publish)]) * 2 / 3
+    gaps = np.diff([frame.stamp for frame in seen["overhead/color"]])
+    assert gaps.max() <= 320 * MILLISECOND
+    assert {f"{robot}/camera/depth" for robot in ROBOTS} < set(seen)
+    lines = [send for send in sends if isinstance(send, Write) and send.device == "hider line"]
+    assert len(lines) > 0.9 * 50 * 6  # telemetry, 50 times a second
+    assert core.trouble.startswith("this machine is too slow: it draws 3.")
+    assert "of 20 pictures a second from above" in core.trouble
+    core.step(Captured(CAMERAS, [], START + 6 * SECOND), START + 6 * SECOND)  # the last one is done
+    run(core, START + 6 * SECOND, 6.0)
+    assert core.trouble == ""
 
 
 def test_a_world_held_up_leaves_frames_out_and_does_not_fall_behind(prepared: Prepared) -> None:
@@ -68,13 +119,24 @@ def test_a_world_held_up_leaves_frames_out_and_does_not_fall_behind(prepared: Pr
     assert all(START + 3 * SECOND <= frame.stamp <= START + 3.5 * SECOND for frame in seen["overhead/color"])
 
 
+def test_a_world_that_was_held_up_loses_no_telemetry_and_one_that_slept_goes_on_from_now(prepared: Prepared) -> None:
+    world = World(prepared.obstacles, prepared.starts, seed=3)
+    world.advance(START)
+    assert world.advance(START + SECOND * 9 // 10)["hider"].count(b"$T") >= 42  # of 45, one in a hundred is lost
+    said = world.advance(START + 3600 * SECOND)
+    assert said.get("hider", b"").count(b"$T") <= 2
+    later = world.advance(START + 3600 * SECOND + SECOND // 2)
+    times = [int(line.split(b",")[2]) for line in later["hider"].splitlines() if line.startswith(b"$T")]
+    assert 20 <= len(times) <= 26 and times[-1] < 2000  # ms by the robot's own clock
+
+
 def test_what_is_unplugged_gives_nothing_until_it_is_plugged_in_again(prepared: Prepared) -> None:
     core = make(prepared)
     core.step(Captured("faults", frozenset({"hider camera", "overhead camera", "seeker line"}), START), START)
     assert core.trouble == "unplugged: hider camera, overhead camera, seeker line"
     sends = run(core, START, 1.0)
     assert set(frames(sends)) == {"seeker/camera/depth", "seeker/camera/color"}
-    assert {send.device for send in sends if isinstance(send, Write)} == {"hider line"}
+    assert {send.device for send in sends if isinstance(send, Write)} == {"hider line", CAMERAS}
     core.step(Captured("faults", frozenset(), START + SECOND), START + SECOND)
     assert core.trouble == ""
     assert len(frames(run(core, START + SECOND, 1.0))) == 5
@@ -82,7 +144,7 @@ def test_what_is_unplugged_gives_nothing_until_it_is_plugged_in_again(prepared: 
 
 def test_a_robot_drives_as_its_line_says_and_stops_when_the_line_is_silent(prepared: Prepared) -> None:
     world = World((), ((0.3, 0.6, 0.0), (0.9, 0.6, math.pi)), seed=1)
-    core = RehearsalCore(world, (), prepared.scene, prepared.cameras, CameraSettings(overhead_rate=1.0, camera_rate=1.0))
+    core = RehearsalCore(world, CameraSettings(overhead_rate=1.0, camera_rate=1.0))
     run(core, START, 0.1)
     now = START + 100 * MILLISECOND
     for number in range(10):
@@ -168,7 +230,7 @@ def test_the_truth_is_written_for_studies(prepared: Prepared, tmp_path: Path) ->
     truth.open()
     world = World(prepared.obstacles, prepared.starts, seed=3)
     settings = CameraSettings(overhead_rate=1.0, camera_rate=1.0, truth=True)
-    core = RehearsalCore(world, prepared.obstacles, prepared.scene, prepared.cameras, settings)
+    core = RehearsalCore(world, settings)
     for send in run(core, START, 1.0):
         if isinstance(send, Write) and send.device == "truth":
             truth.write(send.data)

@@ -79,6 +79,19 @@ def test_who_asks_while_the_button_is_pressed_or_before_it_is_pressed_again_must
     assert table.firmwares["hider"].flags & EMERGENCY_STOP
 
 
+def test_a_request_that_comes_again_is_not_a_person_who_asks_again() -> None:
+    table = at_start()
+    ask_for_games(table, request="mine")
+    latch(table)
+    ask_for_games(table, request="mine")
+    table.motions.clear()
+    table.set_up(number=2, seed=SEED)
+    table.run(lambda: False, 0.4)
+    assert table.firmwares["hider"].flags & EMERGENCY_STOP and table.motions == []
+    ask_for_games(table, request="another")
+    assert table.run(lambda: len(table.motions) == 2, 20.0)
+
+
 @pytest.mark.parametrize("silent_when_asked", [False, True])
 def test_who_asks_while_the_robot_is_out_of_reach_or_before_must_ask_again(silent_when_asked: bool) -> None:
     """Somebody may have pressed the button meanwhile."""

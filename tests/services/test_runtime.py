@@ -1,5 +1,6 @@
 """The service runtime: joins, counts, health, calls, in-process runs."""
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import permutations
@@ -8,6 +9,7 @@ import pytest
 
 from schemas import Command, Episode, Health, Pose, PredictReply, PredictRequest, Tick
 from vantage.bus import InProcessNetwork, Lost, Sample, VirtualClock
+from vantage.deployment import Process
 from vantage.service import (
     SECOND,
     Answer,
@@ -25,8 +27,10 @@ from vantage.service import (
     StepJoin,
     Unexpected,
     Woken,
+    bad_messages,
     run_in_process,
 )
+from vantage.watch import judge
 
 KEYS = ("hider/pose", "tick")
 
@@ -173,6 +177,55 @@ def test_a_core_that_raises_is_counted_and_goes_on() -> None:
     sample = listener.receive(0.0)
     assert isinstance(sample, Sample)
     assert sample.decode() == command
+
+
+def test_a_core_that_raises_at_every_message_is_not_healthy_until_it_handles_them_again() -> None:
+    bus = network()
+    core, runtime = probe(bus, "seeker", inputs=("tick",))
+    referee = bus.session("referee")
+    core.answers = [TypeError("unexpected keyword argument 'speed'")] * 20
+    process = Process("seeker", "RUNNING", pid=os.getpid(), restarts=0, uptime=9.0, memory=1, complaint="")
+    for step in range(20):
+        referee.publish("tick", tick(1, step))
+        runtime.drain()
+        health = runtime.health_report("ok")
+        assert health.state == "degraded"
+        assert health.reason == "tick from referee: TypeError: unexpected keyword argument 'speed'"
+        verdict = judge(process, health, age=0.1)
+        assert not verdict.healthy
+        assert "TypeError" in verdict.trouble
+    bus.clock.now += 11 * SECOND
+    referee.publish("tick", tick(1, 20))
+    runtime.drain()
+    health = runtime.health_report("ok")
+    assert (health.state, health.reason, health.failed) == ("ok", "", 20)
+    assert judge(process, health, age=0.1).healthy
+
+
+def test_a_message_that_is_set_aside_does_not_make_a_service_unhealthy() -> None:
+    bus = network()
+    core, runtime = probe(bus, "seeker", inputs=("tick",))
+    core.answers = [Unexpected("odd")]
+    bus.session("referee").publish("tick", tick(1, 0))
+    runtime.drain()
+    health = runtime.health_report("ok")
+    assert (health.state, health.reason) == ("ok", "set aside: tick from referee: odd")
+
+
+def test_the_log_says_what_was_bad_but_not_a_line_for_each(caplog: pytest.LogCaptureFixture) -> None:
+    bus = network()
+    core, runtime = probe(bus, "seeker", inputs=("tick",))
+    referee = bus.session("referee")
+    core.answers = [Unexpected("odd\x1b[2J")] * 101
+    for step in range(100):
+        referee.publish("tick", tick(1, step))
+    runtime.drain()
+    bus.clock.now += 2 * SECOND
+    referee.publish("tick", tick(1, 100))
+    runtime.drain()
+    first = "set aside: tick from referee: odd[2J"
+    assert caplog.messages == [first, f"{first} (and 99 more bad messages before it)"]
+    assert bad_messages(runtime.health_report("ok")) == 101
 
 
 def test_an_output_that_is_not_declared_is_refused() -> None:

@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from schemas import ROBOTS, Box, DepthImage, Episode, Layout, Message, Motion, Pose, Tick
+from schemas import ROBOTS, Box, ColorImage, DepthImage, Episode, Intrinsics, Layout, Message, Motion, Pose, Tick, Track
 from services.tracker.core import CALIBRATION, OVERHEAD, RESUMING, Calibrated, TrackerCore
 from tests.tracking.overhead_scene import START, calibration, covered, picture
 from vantage.service import SECOND, Arrived, Captured, Publish, Send, Woken
@@ -239,25 +239,58 @@ def test_a_step_that_is_not_out_is_captured_by_a_tracker_that_was_restarted(show
     assert "clock" not in shown.trouble()
 
 
-@pytest.mark.parametrize(("age", "said"), [(2 * SECOND, "off by -2.0 s"), (-7 * SECOND, "off by +7.0 s")])
-def test_stamps_of_another_clock_are_not_believed_and_named(shown: Shown, age: int, said: str) -> None:
+@pytest.mark.parametrize("clock", [-3600 * SECOND, -2 * SECOND, 0, 7 * SECOND])
+def test_whatever_time_it_is_at_the_driver_a_step_is_what_was_captured_after_it(shown: Shown, clock: int) -> None:
     shown.phase(1, "setup")
-    shown.look()
-    shown.rest(1, 0, age)
-    assert shown.poses() == []  # what was captured before the report may be of a robot that still moved
-    shown.look()
-    assert shown.poses() == [(1, 0), (1, 0)]
-    assert f"clock of the driver is {said}" in shown.trouble()
-    shown.rest(1, 1)
-    assert "clock" not in shown.trouble()
+    for step in range(3):
+        shown.look()
+        shown.rest(1, step, -clock)
+        assert len(shown.poses()) == 2 * step  # what was captured before the report may be of a robot that still moved
+        shown.look()
+        assert shown.poses()[-2:] == [(1, step)] * 2
+        assert "clock" not in shown.trouble()
 
 
-def test_a_frame_captured_before_its_report_came_counts_by_the_reports_stamp(shown: Shown) -> None:
+@pytest.mark.parametrize("clock", [-3600 * SECOND, 0, 7 * SECOND])
+def test_a_frame_captured_before_its_report_came_counts_where_the_report_is_known_to_be_late(shown: Shown, clock: int) -> None:
     shown.phase(1, "setup")
+    shown.rest(1, 0, -clock)
+    shown.look()
+    assert shown.poses() == [(1, 0)] * 2
+    shown.rest(1, 1, -clock)
+    shown.wait(SECOND // 2)
     shown.look()
     shown.wait(SECOND // 5)
-    shown.rest(1, 0, 4 * SECOND // 10)
-    assert shown.poses() == [(1, 0), (1, 0)]
+    shown.rest(1, 2, 4 * SECOND // 10 - clock)
+    assert shown.poses()[-2:] == [(1, 2)] * 2
+
+
+@pytest.mark.parametrize("clock", [-3600 * SECOND, 0, 7 * SECOND])
+def test_pictures_of_a_camera_on_another_machine_are_stamped_with_the_own_time(shown: Shown, clock: int) -> None:
+    shown.phase(1, "setup")
+    for index in range(5):
+        shown.wait(FRAME)
+        seen = picture()
+        height, width = seen.shape[:2]
+        lens = Intrinsics(fx=1.0, fy=1.0, cx=1.0, cy=1.0)
+        taken = shown.now - SECOND // 25
+        image = ColorImage(stamp=taken + clock, width=width, height=height, intrinsics=lens, data=seen.tobytes())
+        for published in (taken + SECOND // 30 + clock,) * 2:  # the second is not a new one
+            shown._keep(shown.core.step(Arrived("overhead/color", image, published), shown.now))
+        tracks = [message for _, message in shown.said if isinstance(message, Track)]
+        assert len(tracks) == 2 * index  # the first picture may be an old one
+        assert all(abs(track.stamp - taken) < SECOND // 50 for track in tracks[-2:])
+
+
+def test_time_in_which_the_tracker_did_not_run_is_no_silence_of_the_cameras(shown: Shown) -> None:
+    shown.phase(1, "setup")
+    shown.look()
+    shown.look()
+    shown.now += 4 * SECOND
+    shown.core.held_up(4 * SECOND, shown.now)
+    shown.core.step(Woken(), shown.now)
+    assert shown.core.trouble == ""
+    assert "no frame for" in (shown.wait(4 * SECOND), shown.core.trouble)[1]
 
 
 def test_pictures_of_another_size_are_a_trouble_and_no_crash(shown: Shown) -> None:

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import resource
 import sys
 import time
+import zipfile
 from collections.abc import Callable
+from fractions import Fraction
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import av
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from schemas import ColorImage, DepthImage, Intrinsics, Message
 from services.tracker.devices import DrivenCamera, OverheadSettings, PictureFolder, VideoFile
@@ -24,7 +29,7 @@ from vantage.service import SECOND, Device, DeviceLost, steady_clock
 SHADES = (40, 120, 200)
 
 
-def frames_of(device: Device, limit: float = 10.0) -> tuple[list[Any], list[float], str]:
+def frames_of(device: Device, limit: float = 120.0) -> tuple[list[Any], list[float], str]:
     """Read a device until it is lost: values, seconds at which they came, and the reason."""
     values, times = [], []
     started = time.monotonic()
@@ -72,6 +77,89 @@ def test_a_video_file_gives_its_frames_in_rgb_and_says_when_it_has_ended(tmp_pat
     assert said == f"overhead camera: {path} has ended"
     with pytest.raises(DeviceLost, match="has ended"):
         video.open()
+
+
+def write_uneven_video(path: Path, times: list[int]) -> None:
+    """Write a video whose frames come at these times, ms."""
+    with av.open(str(path), "w") as container:
+        stream = container.add_stream("mpeg4", rate=1000)
+        stream.width, stream.height, stream.pix_fmt = 64, 48, "yuv420p"
+        stream.time_base = stream.codec_context.time_base = Fraction(1, 1000)
+        for shade, at in enumerate(times):
+            frame = av.VideoFrame.from_ndarray(np.full((48, 64, 3), 20 + 30 * shade, np.uint8), format="rgb24")
+            frame.pts, frame.time_base = at, Fraction(1, 1000)
+            container.mux(stream.encode(frame))
+        container.mux(stream.encode())
+
+
+@pytest.mark.parametrize("suffix", [".mp4", ".mkv"])
+def test_frames_of_a_video_of_variable_rate_keep_their_times(tmp_path: Path, suffix: str) -> None:
+    times = [0, 40, 80, 380, 400, 900]
+    write_uneven_video(tmp_path / f"table{suffix}", times)
+    video = VideoFile("overhead camera", tmp_path / f"table{suffix}")
+    video.open()
+    stamps: list[int] = []
+    while len(stamps) < len(times):
+        got = video.read()
+        if got is not None:
+            assert got[1] <= steady_clock()
+            stamps.append(got[1])
+    video.close()
+    after = [round((stamp - stamps[0]) / 1e6) for stamp in stamps]
+    if max(after) < 1000:  # else this machine did not keep the pace, and the video went on later
+        assert after == pytest.approx(times, abs=2)
+
+
+def test_turned_pictures_are_read_as_the_sensor_took_them(tmp_path: Path) -> None:
+    turned = Image.fromarray(np.full((40, 60, 3), 90, np.uint8))
+    exif = turned.getexif()
+    exif[0x0112] = 6
+    turned.save(tmp_path / "0.jpg", exif=exif)
+    turned.save(tmp_path / "0.color.png", exif=exif)
+    cv2.imwrite(str(tmp_path / "0.depth.png"), np.full((40, 60), 500, np.uint16))
+    (tmp_path / "only").mkdir()
+    (tmp_path / "0.jpg").rename(tmp_path / "only" / "0.jpg")
+    ((picture,), _, _) = frames_of(PictureFolder("overhead camera", tmp_path / "only", 0.0))
+    assert picture.shape == (40, 60, 3)
+    (((_, color),), _, _) = frames_of(FrameFolder("hider camera", tmp_path, 0.0))
+    assert color.shape == (40, 60, 3)
+
+
+def npy_header(shape: tuple[int, ...], kind: str = "<u2") -> bytes:
+    text = repr({"descr": kind, "fortran_order": False, "shape": shape}).encode()
+    text += b" " * (118 - len(text)) + b"\n"
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+TAMPERED = {
+    "larger than memory": npy_header((10**9, 10**9)),
+    "larger than a picture": npy_header((20_000, 20_000)) + bytes(1000),
+    "shorter than it says": npy_header((480, 640)) + bytes(1000),
+    "pickled": npy_header((1,), "|O") + b"cos\nsystem\n(S'touch pickled'\ntR.",
+    "no header": b"\x93NUMPY\x01\x00\xff\xff",
+    "of a format to come": b"\x93NUMPY\x09\x00" + bytes(200),
+    "nothing": b"",
+}
+
+
+@pytest.mark.parametrize("content", TAMPERED.values(), ids=TAMPERED)
+def test_tampered_arrays_are_refused_before_they_are_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, content: bytes
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    with zipfile.ZipFile(tmp_path / "0.npz", "w") as archive:
+        archive.writestr("depth.npy", content)
+        archive.writestr("color.npy", npy_header((480, 640, 3), "|u1") + bytes(480 * 640 * 3))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert "0.npz does not hold the arrays depth and color" in frames_of(FrameFolder("hider camera", tmp_path, 0.0))[2]
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100_000  # KB
+    assert not (tmp_path / "pickled").exists()
+
+
+def test_a_bomb_of_zeros_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "0.npz", "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("depth.npy", npy_header((20_000, 5_000)) + bytes(2 * 20_000 * 5_000))
+    assert "depth is 20000 x 5000, larger than any picture" in frames_of(FrameFolder("hider camera", tmp_path, 0.0))[2]
 
 
 def test_a_folder_of_pictures_is_read_in_order(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ def test_the_group_lists_its_commands(tmp_path: Path) -> None:
         (("calibrate", "robot", "--robot", "hider", "--source", "floor.npz"), "there is no depth picture floor.npz"),
         (("colors", "--source", "91", "--grey", "1"), "--grey '1': give the place"),
         (("print", "--table", "nowhere.json"), "cannot read the table nowhere.json"),
-        (("print", "--to", "/proc/none"), "choose another folder with --to"),
+        (("print", "--to", "/proc/none"), "vantage table print: /proc/none: "),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, tuple) else None,
 )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
 from pathlib import Path
 
 import msgspec
@@ -20,6 +23,12 @@ from vantage.tracking.calibration import load_calibration
 from vantage.tracking.errors import TrackingError
 from vantage.tracking.overhead_camera import OverheadCamera
 from vantage.tracking.table import default_table, load_table, save_table
+
+_NO_ROOM = (
+    "import resource, signal, matplotlib.font_manager; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
+    "resource.setrlimit(resource.RLIMIT_FSIZE, (3000, 3000))"
+)
+"""Stands for a full disk: no file may grow beyond 3,000 bytes."""
 
 
 @pytest.fixture(autouse=True)
@@ -51,6 +60,41 @@ def test_from_board_and_corner_tags_to_a_calibration_that_is_true(capsys: pytest
         assert np.linalg.norm(places - points[:, :2], axis=1).max() < 0.001, "m from where it truly is"
     for name in ("lens-views.png", "overhead-arena.png"):
         assert read_picture(Path(name)).shape == (720, 1280, 3)
+
+
+def test_what_was_measured_before_is_kept_under_a_dated_name(capsys: pytest.CaptureFixture[str]) -> None:
+    save_table(default_table(), Path("table.json"))
+    save_lens(true_lens(), Path("lens.json"))
+    write_picture(Path("bare.png"), picture(robots=False))
+    Path("overhead.json").write_text("of before")
+    os.utime("overhead.json", (0, 1_790_000_000))
+    assert commands.calibrate_arena(settings.CalibrateArena(source="bare.png")) == 0
+    (kept,) = Path().glob("overhead-2026-*.json")
+    assert kept.read_text() == "of before"
+    assert f"overhead.json written (the former one is kept as {kept.name})" in capsys.readouterr().out
+    assert load_calibration(Path("overhead.json"), 1280, 720, today()).arena_residual < 1.0
+    assert commands.calibrate_arena(settings.CalibrateArena(source="bare.png")) == 0
+    assert len(list(Path().glob("overhead-*.json"))) == 2
+
+
+def test_a_full_disk_is_one_line_and_leaves_the_former_calibration(here: Path) -> None:
+    save_table(default_table(), Path("table.json"))
+    save_lens(true_lens(), Path("lens.json"))
+    write_picture(Path("bare.png"), picture(robots=False))
+    for command, file in (("print", "prints/ruler.pdf"), ("calibrate arena --source bare.png", "overhead-arena.png")):
+        words = f"import sys; sys.argv = ['vantage', *{('table ' + command).split()}]"
+        done = subprocess.run(
+            [sys.executable, "-c", f"{_NO_ROOM}; {words}; import vantage.cli; vantage.cli.main()"],
+            capture_output=True,
+            text=True,
+            cwd=here,
+        )
+        assert done.returncode == 1, done
+        assert done.stderr.count("\n") == 1, done.stderr
+        line = done.stderr
+        assert line.startswith(f"vantage table {command.split(' --')[0]}: {file}: "), line
+    assert not Path("overhead.json").exists() and not Path("overhead-arena.png").exists()
+    assert not [file for file in here.rglob("*") if "partial" in file.name or file.suffix == ".pdf"]
 
 
 def test_too_few_views_say_how_many_and_which(capsys: pytest.CaptureFixture[str]) -> None:

@@ -6,10 +6,10 @@ import msgspec
 import numpy as np
 import pytest
 
-from schemas import Box, ColorImage, Health, Intrinsics, Layout, Message, Track
+from schemas import Box, ColorImage, DepthImage, Health, Intrinsics, Layout, Message, Track
 from vantage.bus import InProcessNetwork, Sample, VirtualClock
 from vantage.deployment import Process
-from vantage.setting_up.listening import LISTENED, Heard, judge_heard, listen, take
+from vantage.setting_up.listening import LISTENED, Heard, Stream, judge_heard, listen, take
 from vantage.setting_up.verdict import Verdict, lines
 
 SECOND = 1_000_000_000
@@ -40,24 +40,25 @@ class Room:
         self.listener = self.network.session("watch-1")
         self.listener.subscribe(*LISTENED)
         self.heard = Heard()
+        self.ahead = 0  # ns by which the speakers' clock is ahead of the listener's
 
     def hear(self, passed: float, speaker: str, key: str, message: Message, age: float = 0.0) -> None:
         """Let a message of so many seconds of age arrive `passed` seconds after the beginning."""
-        self.clock.now = START + round(passed * SECOND)
+        self.clock.now = START + round(passed * SECOND) + self.ahead
         stamped = msgspec.structs.replace(message, stamp=self.clock.now - round(age * SECOND))
         self.speakers[speaker].publish(key, stamped)
         while (event := self.listener.receive(0.0)) is not None:
             if isinstance(event, Sample):
-                take(self.heard, event, passed, self.clock.now)
+                take(self.heard, event, passed, self.clock.now - self.ahead)
 
     def verdicts(self, boxes: int | None = 1, *processes: Process) -> dict[str, Verdict]:
         self.heard.seconds, self.heard.ended = LISTENING, START + round((LISTENING + 0.3) * SECOND)
         return {verdict.what: verdict for verdict in judge_heard(self.heard, "hardware", list(processes), boxes)}
 
 
-def played(rate: float = 30.0, age: float = 0.03, unseen: float = 0.0, raw: bool = False) -> Room:
+def played(rate: float = 30.0, age: float = 0.03, unseen: float = 0.0, raw: bool = False, room: Room | None = None) -> Room:
     """Four seconds of a table with both robots tracked."""
-    room = Room()
+    room = room or Room()
     room.hear(0.1, "tracker", "layout", Layout(stamp=0, obstacles=(Box(x=0.5, y=0.5, half_width=0.1, half_depth=0.1),)))
     for index in range(round(rate * LISTENING)):
         at = 0.31 + index / rate
@@ -77,7 +78,7 @@ def test_a_table_that_runs_well() -> None:
     assert verdicts["service robot"].found == "ok, its robots answer"
     assert verdicts["hider/track"].found == "30.0 a second, expected 30"
     assert verdicts["seeker latency"].found.startswith("30 ms from capture")
-    assert verdicts["layout"].found == "1 boxes"
+    assert verdicts["layout"].found == "1 box"
 
 
 def test_slow_old_and_guessed_tracks_are_told_apart() -> None:
@@ -126,6 +127,41 @@ def test_a_service_that_fell_silent_is_said() -> None:
     assert "silent" in room.verdicts(None, process("robot"))["service robot"].found
 
 
+@pytest.mark.parametrize("clock", [-3600.0, -0.5, 0.5, 3600.0])
+def test_a_table_that_runs_well_on_a_machine_with_another_clock(clock: float) -> None:
+    room = Room()
+    room.ahead = round(clock * SECOND)
+    verdicts = played(room=room).verdicts(1, process("tracker"), process("robot"))
+    assert all(verdict.ok for verdict in verdicts.values()), verdicts
+    assert verdicts["seeker latency"].found.startswith("30 ms from capture")
+    color, depth = (room.heard.streams.setdefault(f"hider/{part}", Stream(publisher="tracker")) for part in ("color", "depth"))
+    taken = START + 2 * SECOND + room.ahead
+    lens = Intrinsics(fx=5.0, fy=5.0, cx=2.5, cy=1.5)
+    color.last = ColorImage(stamp=taken, width=1, height=1, intrinsics=lens, data=bytes(3))
+    depth.last = DepthImage(stamp=taken, width=1, height=1, intrinsics=lens, data=bytes(2))
+    pictures = room.heard.robot_pictures("hider", raw=False)
+    assert pictures is not None and pictures[2] == pytest.approx(2.3, abs=0.01)
+
+
+def test_a_machine_that_is_too_slow_is_said() -> None:
+    assert "load 0.0 on 1 core, this command woken 0 ms late" in played().verdicts()["machine"].found
+    room = played()
+    room.heard.load, room.heard.cores, room.heard.late = 3.9, 2, 0.02
+    assert room.verdicts()["machine"].ok
+    for change in ({"load": 12.3}, {"late": 0.4}):
+        room = played()
+        room.heard.cores = 2
+        for name, value in change.items():
+            setattr(room.heard, name, value)
+        machine = room.verdicts()["machine"]
+        assert "too slow" in machine.remedy and ("load 12.3 on 2 cores" in machine.found or "400 ms late" in machine.found)
+    room = played()
+    room.hear(
+        4.2, "rehearsal", "health/rehearsal", health("rehearsal", 0, "this machine is too slow: it draws 2.0 of 20 pictures")
+    )
+    assert room.verdicts()["machine"].found.endswith("too slow for rehearsal") and not room.verdicts()["machine"].ok
+
+
 def test_strangers_and_missing_boxes() -> None:
     room = played()
     room.heard.streams.pop("layout")
@@ -156,3 +192,13 @@ def test_lines_are_aligned_and_carry_the_remedy() -> None:
 def test_it_listens_to_topics_that_there_are(key: str) -> None:
     network = InProcessNetwork(clock=VirtualClock(START))
     network.session("watch-2").subscribe(key)
+
+
+def test_a_service_whose_clock_is_another_is_not_silent() -> None:
+    """After a suspend, or on another machine: health is as old as its arrival says."""
+    room = played()
+    for service, age in (("tracker", 3600.0), ("robot", -3600.0)):
+        room.hear(4.1, service, f"health/{service}", health(service, 0), age)
+    verdicts = room.verdicts(1, process("tracker"), process("robot"))
+    assert verdicts["service tracker"].ok
+    assert verdicts["service robot"].ok

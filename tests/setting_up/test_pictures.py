@@ -7,6 +7,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from PIL import Image
 
 from vantage.setting_up import pictures
 from vantage.setting_up.pictures import open_source, read_picture, require_size, write_picture
@@ -29,6 +30,17 @@ def test_a_folder_is_read_in_order_of_names_and_in_rgb(tmp_path: Path) -> None:
     assert [view.name for view in views] == ["a.png", "b.png", "c.bmp"]
     assert [int(view.picture[0, 0, 0]) for view in views] == [30, 90, 250]
     assert int(views[0].picture[0, 0, 2]) == 200
+
+
+def test_pictures_whose_metadata_ask_for_a_turn_are_read_as_the_sensor_took_them(tmp_path: Path) -> None:
+    """Turned ones among others gave a lens whose principal point was mirrored."""
+    for number, orientation in enumerate((1, 3, 6, 8)):
+        upright = Image.fromarray(striped(90))
+        exif = upright.getexif()
+        exif[0x0112] = orientation
+        upright.save(tmp_path / f"{number}.png", exif=exif)
+    with open_source(str(tmp_path), 640, 480) as source:
+        assert all((view.picture == striped(90)).all() for view in source.views)
 
 
 def test_a_video_is_read_to_its_end(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from hypothesis import settings as settings_of_tests
 from hypothesis import strategies as st
 
 from vantage import table_commands as commands
+from vantage.errors import UserError
 from vantage.rehearsal.rgbd_picture import RgbdCamera, RgbdLook, render_rgbd
 from vantage.setting_up import settings
 from vantage.setting_up.coloring import Place, parse_place
@@ -97,7 +98,7 @@ def test_recorded_depth_is_read_or_refused() -> None:
     np.savez("bad.npz", color=depth)
     write_picture(Path("color.png"), np.zeros((4, 4, 3), np.uint8))
     for name, told in (("bad.npz", "does not hold"), ("color.png", "is no depth picture"), ("none.npz", "there is no depth")):
-        with pytest.raises(TableTrouble, match=told):
+        with pytest.raises(UserError, match=told):
             read_depth(Path(name))
 
 

@@ -1,4 +1,4 @@
-"""Everything here starts real processes, so it is marked `stack` and runs alone, after the other tests."""
+"""Everything here starts real processes, so it is marked `stack` and runs after the other tests."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
             item.add_marker(pytest.mark.stack)
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def table() -> Iterator[Table]:
-    """A whole deployment, up and healthy, in a private folder of its own."""
+    """A whole deployment, up and healthy, in a private folder of its own: for all tests that leave it so."""
     with Table() as running:
         yield running

@@ -11,13 +11,12 @@ import time
 
 import pytest
 
-from tests.stack.table import VANTAGE, Table, follow, stop_games, wish
+from tests.stack.table import PATIENCE, VANTAGE, Table, follow, stop_games, wish
 from vantage.bus.zenoh_bus import ZenohBus
-from vantage.play import Match
+from vantage.match import Match
 from vantage.watch import HealthWatch
 
 client = pytest.importorskip("websockets.sync.client")
-DEADLINE = 30.0
 
 
 def test_a_game_is_seen_live(table: Table) -> None:
@@ -31,15 +30,15 @@ def test_a_game_is_seen_live(table: Table) -> None:
         # Games without end: the viewer's links to the services come up one after another.
         with ZenohBus("command-line", table.folder) as bus:
             match = Match(bus, wish(seed=7, games=1000, steps=50, period=0.1))
-            follow(match, lambda: match.step >= 2, 30.0, "a game runs")
+            follow(match, lambda: match.step >= 2, "a game runs")
         watch_until_all_was_seen(int(found[1]))
         stop_games(table.folder)
         play = table.command("play", "--seed", "7", "--steps", "8", "--period", "0")
         assert play.returncode == 0, play.stdout + play.stderr
         with HealthWatch(table.deployment) as watch:
-            table.wait_until_healthy(watch, 10.0)
+            table.wait_until_healthy(watch)
         process.send_signal(signal.SIGINT)
-        said, complained = process.communicate(timeout=10)
+        said, complained = process.communicate(timeout=PATIENCE)
         assert (process.returncode, complained) == (0, "")
         assert said.endswith("closed\n")
         assert json.loads((table.folder / "foxglove.layout.json").read_text())["configById"]
@@ -54,7 +53,7 @@ def watch_until_all_was_seen(port: int) -> None:
     topics: dict[int, str] = {}
     wanted = {"viewer/scene", "viewer/hider/plan/picture", "viewer/text", "viewer/hider/view", "viewer/seeker/view"}
     wanted |= {f"viewer/{robot}/{part}" for robot in ("hider", "seeker") for part in ("pose", "color")}
-    deadline = time.monotonic() + DEADLINE
+    deadline = time.monotonic() + PATIENCE
     with client.connect(f"ws://127.0.0.1:{port}", subprotocols=["foxglove.sdk.v1"], max_size=None, close_timeout=0.5) as socket:
         while not wanted <= seen:
             assert time.monotonic() < deadline, sorted(wanted - seen)

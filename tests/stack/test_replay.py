@@ -17,14 +17,14 @@ import pytest
 
 from learning.in_process import play
 from learning.process_replay import without_clock
-from schemas import Control, Health, Message, Plan, Playback, Rules
+from schemas import Control, Episode, Health, Message, Playback, Rules, Tick
 from services.planner.core import PlannerCore
 from services.predictor.__main__ import make_core
 from services.predictor.core import PredictorSettings
 from services.referee.core import RefereeCore, RefereeSettings
 from services.seeker.core import SeekerCore
 from services.simulator.core import SimulatorCore, SimulatorSettings
-from tests.stack.table import VANTAGE
+from tests.stack.table import PATIENCE, VANTAGE, wait
 from vantage.bus import Sample
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.log import LogWriter
@@ -33,8 +33,7 @@ from vantage.world.camera import Camera
 
 STEPS = 16
 GAMES = 2
-SLOW, QUICK = 0.1, 10.0
-"""Slow enough for a plan between two ticks."""
+QUICK = 10.0
 WATCHED = ("playback", "episode", "tick", "hider/pose", "hider/plan", "hider/command", "health/planner")
 
 
@@ -82,29 +81,34 @@ class Listener:
         if isinstance(event, Sample):
             self.heard.append(event)
 
-    def until(self, found: Callable[[], bool], timeout: float, what: str) -> None:
-        deadline = time.monotonic() + timeout
-        while not found():
-            assert time.monotonic() < deadline, f"{what}: not within {timeout:g} s; last {self.playback}"
-            self.listen()
+    def until(self, found: Callable[[], bool], what: str) -> None:
+        wait(found, self.listen, lambda: f"{what}: it did not come; last {self.playback}")
+
+    def until_it_stands(self) -> Playback:
+        """Wait until the replay reports twice that it is paused at the same place."""
+        self.until(lambda: [each.state for each in self.reports[-2:]] == ["paused"] * 2, "it stands")
+        return self.reports[-1]
 
     def said(self, key: str, since: int = 0) -> list[Message]:
         return [sample.decode() for sample in self.heard[since:] if sample.key == key]
 
     @property
+    def reports(self) -> list[Playback]:
+        return self.said("playback")  # type: ignore[return-value]
+
+    @property
     def playback(self) -> Playback | None:
-        reports = self.said("playback")
-        return reports[-1] if reports else None  # type: ignore[return-value]
+        return self.reports[-1] if self.reports else None
 
     def health(self) -> Health:
         """What the planner says of itself next."""
         since = len(self.heard)
-        self.until(lambda: bool(self.said("health/planner", since)), 5.0, "the planner's health")
+        self.until(lambda: bool(self.said("health/planner", since)), "the planner's health")
         return self.said("health/planner", since)[-1]  # type: ignore[return-value]
 
     def wish(self, **fields: object) -> int:
         """Say a wish, and wait until the replay shows that it was heard; returns from where on to look at what was said."""
-        self.until(lambda: self.bus.has_reader("control"), 10.0, "somebody hears wishes")
+        self.until(lambda: self.bus.has_reader("control"), "somebody hears wishes")
         since = len(self.heard)
         self.bus.publish("control", Control(stamp=time.time_ns(), **fields))  # type: ignore[arg-type]
         return since
@@ -113,7 +117,7 @@ class Listener:
         assert self.playback is not None
         jumps = self.playback.jumps
         since = self.wish(action="seek", position=position)
-        self.until(lambda: self.playback is not None and self.playback.jumps > jumps, 5.0, "a jump")
+        self.until(lambda: self.playback is not None and self.playback.jumps > jumps, "a jump")
         return since
 
 
@@ -134,12 +138,13 @@ def services(folder: Path) -> Iterator[dict[str, subprocess.Popen[bytes]]]:
         with ZenohBus("command-line", folder) as bus:
             silent = set(started)
             bus.subscribe(*(f"health/{name}" for name in silent))
-            deadline = time.monotonic() + 30
-            while silent:
+
+            def listen() -> None:
                 event = bus.receive(0.2)
                 if isinstance(event, Sample):
                     silent.discard(event.publisher)
-                assert time.monotonic() < deadline, f"silent: {silent}"
+
+            wait(lambda: not silent, listen, lambda: f"silent: {silent}")
         yield started
     finally:
         for process in started.values():
@@ -159,33 +164,46 @@ def replay(log: Path, folder: Path, *options: str) -> Iterator[subprocess.Popen[
 
 
 def finish(process: subprocess.Popen[str], code: int = 0) -> str:
-    printed, complained = process.communicate(timeout=20)
+    printed, complained = process.communicate(timeout=PATIENCE)
     assert process.returncode == code, printed + complained
     return printed + complained
 
 
+def moments(log: Path, is_wanted: Callable[[Message], bool]) -> list[float]:
+    """Seconds after the log's first message of every message that is wanted."""
+    records = list(read(log))
+    return [(record.log_time - records[0].log_time) / 1e9 for record in records if is_wanted(record.decode())]
+
+
 def starts(log: Path) -> list[float]:
     """Seconds after the log's first message at which its games are set up."""
-    first = None
-    found = []
-    for record in read(log):
-        first = first or record.log_time
-        if record.key == "episode" and record.decode().phase == "setup":  # type: ignore[attr-defined]
-            found.append((record.log_time - first) / 1e9)
-    return found
+    return moments(log, lambda message: isinstance(message, Episode) and message.phase == "setup")
+
+
+def tick_of(log: Path, game: int, step: int) -> float:
+    """Seconds after the log's first message of a tick: what the planner needs for this step is then the newest, to the ns."""
+    (moment,) = moments(log, lambda message: isinstance(message, Tick) and (message.episode, message.step) == (game, step))
+    return moment
+
+
+def plans(listener: Listener, since: int) -> list[tuple[int, int]]:
+    """(episode, step) of what the planner planned."""
+    return [(plan.episode, plan.step) for plan in listener.said("hider/plan", since)]
 
 
 @pytest.mark.usefixtures("services")
 def test_the_live_planner_says_what_was_recorded(log: Path, folder: Path, listener: Listener) -> None:
-    with replay(log, folder, "--speed", str(SLOW), "--once") as process:
+    """It plans while the replay stands at the first step of each game, so that it does not matter how long that takes."""
+    with replay(log, folder, "--paused", "--once") as process:
         for number in range(1, GAMES + 1):
-            listener.until(lambda n=number: any(plan.episode == n for plan in listener.said("hider/plan")), 40.0, "a plan")
+            listener.until_it_stands()
+            listener.seek(tick_of(log, number, 0))
+            listener.until(lambda n=number: len(plans(listener, 0)) == n, "a plan")
             listener.wish(action="resume", speed=QUICK)
             over = number * STEPS
-            listener.until(lambda n=over: len(listener.said("hider/command")) >= n, 20.0, "the commands of a game")
-            if number < GAMES:  # nobody waits for the time between the games
-                listener.wish(action="resume", speed=SLOW)
-                listener.seek(starts(log)[number] - 0.01)
+            listener.until(lambda n=over: len(listener.said("hider/command")) >= n, "the commands of a game")
+            if number < GAMES:
+                listener.wish(action="pause")
         printed = finish(process)
     assert "planner: played by the live planner instead" in printed
     assert {sample.publisher for sample in listener.heard if sample.key == "hider/command"} == {"planner"}
@@ -198,41 +216,33 @@ def test_it_pauses_jumps_hurries_and_everybody_follows(log: Path, folder: Path, 
     games = starts(log)
     before = listener.health()
     with replay(log, folder, "--paused", "--game", "2") as process:
-        listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", 20.0, "it waits")
+        listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", "it waits")
         assert listener.playback is not None and listener.playback.position == pytest.approx(games[1], abs=1e-3)
-        # Back and forth, while it plays: into the middle of a game the planner joins there.
-        listener.wish(action="resume", speed=1.0)
-        for game, later in ((1, 2.0), (0, 2.0), (1, 1.0), (0, 3.0)):
-            since = listener.seek(games[game] + later)
-            listener.until(
-                lambda s=since, n=game + 1: any(plan.episode == n for plan in listener.said("hider/plan", s)),
-                20.0,
-                "the planner plans in the game sought",
-            )
-            plan = next(plan for plan in listener.said("hider/plan", since) if plan.episode == game + 1)
-            assert isinstance(plan, Plan) and plan.step >= later / 0.25 - 1
+        # Back and forth, into the middle of games: the planner joins there, while the replay stands.
+        for game, step in ((2, 8), (1, 8), (2, 4), (1, 12)):
+            since = listener.seek(tick_of(log, game, step))
+            place = [(game, step)]
+            listener.until(lambda s=since, p=place: plans(listener, s) == p, "the planner plans in the game sought")
+        since = listener.wish(action="resume", speed=1.0)
+        listener.until(lambda: bool(listener.said("tick", since)), "it plays")
         # A pause holds the stream, and the referee says so.
         since = listener.wish(action="pause")
-        listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", 5.0, "a pause")
-        listener.until(lambda: any(word.paused for word in listener.said("episode", since)), 5.0, "the referee's word")  # type: ignore[attr-defined]
-        since = len(listener.heard)
-        deadline = time.monotonic() + 1.5
-        while time.monotonic() < deadline:
-            listener.listen()
-        assert not listener.said("tick", since) and not listener.said("hider/pose", since)
+        at = listener.until_it_stands()
+        listener.until(lambda: any(word.paused for word in listener.said("episode", since)), "the referee's word")  # type: ignore[attr-defined]
+        assert [report.position for report in listener.reports[-2:]] == [at.position] * 2
+        place = at.episode, at.step
+        assert all((tick.episode, tick.step) <= place for tick in listener.said("tick", since))
+        assert all((pose.episode, pose.step) <= (at.episode, at.step + 1) for pose in listener.said("hider/pose", since))
         # At ten times the speed everything still comes, in order.
         since = listener.seek(0.0)
         listener.wish(action="resume", speed=QUICK)
-        listener.until(lambda: listener.playback is not None and listener.playback.state == "ended", 20.0, "the end")
+        listener.until(lambda: listener.playback is not None and listener.playback.state == "ended", "the end")
         for key in ("tick", "hider/pose"):
             expected = [(message.episode, message.step) for message in recorded(log, key)]
             whole = len(expected)
-            listener.until(lambda k=key, n=whole: len(listener.said(k, since)) >= n, 5.0, f"the last {key}")
+            listener.until(lambda k=key, n=whole: len(listener.said(k, since)) >= n, f"the last {key}")
             assert [(message.episode, message.step) for message in listener.said(key, since)] == expected
         after = listener.health()
-        # Of the step under way at a jump what the planner joins is known when it comes again, on a busy machine also of the one
-        # before: pose, two pictures, tick. Nothing else is out of place.
-        assert after.unexpected - before.unexpected <= 2 * 4 * listener.playback.jumps, after.reason
         assert after.failed == before.failed == 0 and not any(entry.lost or entry.malformed for entry in after.inputs)
         process.send_signal(signal.SIGTERM)
         finish(process)
@@ -242,13 +252,13 @@ def test_a_killed_replay_hangs_nobody_and_leaves_its_names_free(
     log: Path, folder: Path, services: dict[str, subprocess.Popen[bytes]], listener: Listener
 ) -> None:
     with replay(log, folder, "--speed", "1", "--from", "1") as process:
-        listener.until(lambda: bool(listener.said("tick")), 20.0, "it plays")
+        listener.until(lambda: bool(listener.said("tick")), "it plays")
         process.kill()
-    listener.until(lambda: "referee is not alive" in listener.health().reason, 15.0, "the planner misses the referee")
+    listener.until(lambda: "referee is not alive" in listener.health().reason, "the planner misses the referee")
     with replay(log, folder, "--speed", "100", "--once") as again:
         finish(again)
     services["planner"].send_signal(signal.SIGTERM)
-    assert services["planner"].wait(timeout=3) == 0
+    assert services["planner"].wait(timeout=PATIENCE) == 0
 
 
 def test_keys_move_it_in_a_terminal(log: Path, folder: Path, listener: Listener) -> None:
@@ -259,16 +269,16 @@ def test_keys_move_it_in_a_terminal(log: Path, folder: Path, listener: Listener)
 
         def key(sent: bytes, shown: Callable[[Playback], bool]) -> None:
             os.write(leader, sent)
-            listener.until(lambda: listener.playback is not None and shown(listener.playback), 5.0, f"{sent!r} shows")
+            listener.until(lambda: listener.playback is not None and shown(listener.playback), f"{sent!r} shows")
 
         try:
-            listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", 20.0, "it waits")
+            listener.until(lambda: listener.playback is not None and listener.playback.state == "paused", "it waits")
             key(b"\x1b[A", lambda playback: playback.speed == 2.0)
             key(b"n", lambda playback: playback.episode == 1)
             key(b"\x1b[C", lambda playback: playback.episode == 2 or playback.position >= 4.0)
             key(b" ", lambda playback: playback.state != "paused")
             os.write(leader, b"q")
-            assert process.wait(10) == 0, process.communicate()
+            assert process.wait(PATIENCE) == 0, process.communicate()
             assert listener.playback is not None
         finally:
             process.kill()
@@ -285,7 +295,7 @@ def test_a_deployment_is_started_around_it_and_stopped(log: Path) -> None:
     home = Path(tempfile.mkdtemp(prefix="v", dir="/tmp"))
     try:
         command = [VANTAGE, "replay", str(log), "--folder", str(home / "run"), "--once", "--speed", "20", "--arena", "lab"]
-        outcome = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=90, check=False)
+        outcome = subprocess.run(command, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=PATIENCE, check=False)
         assert outcome.returncode == 0, outcome.stdout + outcome.stderr
         assert "starting predictor and console" in outcome.stdout and "watch in a browser: http://" in outcome.stdout
         # They are of the same arena, or nobody would be seen to be alive there.

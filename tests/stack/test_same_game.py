@@ -1,6 +1,9 @@
 """The same seed gives the same game: in one thread twice, and over Zenoh in separate processes; and its log explains itself."""
 
 import json
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgpack
@@ -12,7 +15,7 @@ from learning.in_process import play
 from learning.process_replay import replay_service, replayable, without_clock
 from learning.verify import VerifySettings, check_game
 from learning.verify import main as verify
-from schemas import TOPICS, Message, Rules
+from schemas import TOPICS, Control, Message, Players, Rules
 from services.planner.core import PlannerCore
 from services.predictor.__main__ import make_core
 from services.predictor.core import PredictorSettings
@@ -24,7 +27,7 @@ from vantage.bus.zenoh_bus import ZenohBus
 from vantage.log import LogWriter
 from vantage.log.episodes import episodes
 from vantage.log.reader import read
-from vantage.play import Match
+from vantage.match import Match
 from vantage.world.camera import Camera
 
 SEED = 11
@@ -66,18 +69,51 @@ def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return in_process_log(tmp_path_factory.mktemp("alone") / "game.mcap")
 
 
-@pytest.fixture(scope="module")
-def together(table: Table) -> Path:
-    """The log of one game played by separate processes over Zenoh."""
-    from schemas import Control, Players
+@dataclass(frozen=True)
+class Played:
+    """One game of separate processes over Zenoh: its whole log, and how the deployment ended.
 
+    Attributes:
+        down: outcome of `vantage down`.
+        left: processes of the deployment that outlived it.
+        status: outcome of `vantage status` afterwards.
+    """
+
+    log: Path
+    down: subprocess.CompletedProcess[str]
+    left: list[int]
+    status: subprocess.CompletedProcess[str]
+
+
+@pytest.fixture(scope="module")
+def played() -> Iterator[Played]:
+    with Table() as table:
+        assert table.started.returncode == 0, table.started.stderr
+        yield play_one(table)
+
+
+def play_one(table: Table) -> Played:
     ask = Control(stamp=1, action="start", seed=SEED, games=1, rules=Rules(step_period=0.0), players=Players())
     with ZenohBus("command-line", table.folder) as bus:
         match = Match(bus, ask)
-        follow(match, lambda: match.over, 120.0, "one game")
-    table.deployment.stop()
+        follow(match, lambda: match.over, "one game")
+    pids = [process.pid for process in table.deployment.processes() if process.pid]
+    down = table.command("down")
+    left = [pid for pid in pids if Path(f"/proc/{pid}").exists()]
     (log,) = table.logs.glob("*.mcap")
-    return log
+    return Played(log, down, left, table.command("status"))
+
+
+@pytest.fixture(scope="module")
+def together(played: Played) -> Path:
+    return played.log
+
+
+def test_down_stops_everything(played: Played) -> None:
+    assert played.down.returncode == 0, played.down.stderr
+    assert "is down" in played.down.stdout
+    assert not played.left
+    assert played.status.returncode == 1
 
 
 def test_in_process_twice(alone: Path, tmp_path: Path) -> None:

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import resource
+import signal
 from pathlib import Path
 
 import cv2
@@ -323,7 +325,22 @@ def test_a_file_that_cannot_be_written_anew_stays_what_it_was(tmp_path: Path) ->
     path = tmp_path / "hider.json"
     save_rgbd(default_rgbd(), path)
     before = path.read_bytes()
-    (tmp_path / "hider.json.part").mkdir()  # no room to write beside it
-    with pytest.raises(UnusableRgbdCalibration, match=r"cannot write .*hider\.json"):
-        save_rgbd(msgspec.structs.replace(default_rgbd(), tilt=0.1), path)
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (100, limits[1]))  # as a disk that has no room for more
+    try:
+        with pytest.raises(OSError, match=r"hider\.json"):
+            save_rgbd(msgspec.structs.replace(default_rgbd(), tilt=0.1), path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
     assert path.read_bytes() == before
+    assert [file.name for file in tmp_path.iterdir()] == ["hider.json"]
+
+
+@pytest.mark.parametrize("content", [b'{"depth":' * 10_000, b"[" * 100_000, b"\xff\xfe{}", b" " * 1_000_001])
+def test_a_file_that_is_none_is_refused_in_one_line(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "hider.json"
+    path.write_bytes(content)
+    with pytest.raises(UnusableRgbdCalibration, match=r"hider\.json"):
+        load_rgbd(path)

@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 
 from schemas import Box, Layout
 from tests.world import reference
+from vantage.errors import UserError
 from vantage.world import arena
 from vantage.world.layout import (
     LAB,
@@ -150,3 +151,20 @@ def test_nan_in_messagepack_a_missing_file_and_a_folder_are_refused(tmp_path: Pa
     (tmp_path / "large.json").write_bytes(b" " * 1_000_001)
     with pytest.raises(ImpossibleLayout, match="larger than"):
         make_layout(str(tmp_path / "large.json"), 0)
+
+
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("deep.json", b'{"obstacles":[{"x":0.5,"y":0.5,"half_width":0.1,"half_depth":0.1,"more":' + b"[" * 10_000),
+        ("deep.msgpack", b"\x81\xa9obstacles\x91\x81\xa4more" + b"\x91" * 10_000),
+        ("many.msgpack", b"\x81\xa9obstacles\xdd" + (10**9).to_bytes(4, "big")),
+        ("many.json", b'{"obstacles":[' + b",".join([b'{"x":0,"y":0,"half_width":1,"half_depth":1}'] * 20_000) + b"]}"),
+        ("large.json", b" " * 1_000_001),
+    ],
+)
+def test_a_layout_file_of_absurd_depth_or_size_is_refused_in_one_line(tmp_path: Path, name: str, content: bytes) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ImpossibleLayout, match=name) as refused:
+        make_layout(str(tmp_path / name), 1)
+    assert isinstance(refused.value, UserError) and "\n" not in str(refused.value)

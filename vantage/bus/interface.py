@@ -7,6 +7,7 @@ and taken off by the implementation.
 
 from __future__ import annotations
 
+import re
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -16,15 +17,20 @@ from typing import Any, Self
 from msgspec import Struct
 
 from schemas import CALLS, TOPICS, Call, MalformedMessage, Message, Topic, decode, encode
-from vantage.bus.expressions import check, named_keys
+from vantage.bus.expressions import named_keys
 from vantage.errors import UserError
 
+_PLAIN = re.compile(r"[A-Za-z0-9_.-]+", re.ASCII)
 NAME_LIMIT = 64
 """Longest name of a participant, letters."""
 
 
 class Refused(ValueError):
     """The bus does not do what was asked, because the tables of `schemas` do not allow it."""
+
+
+class UnusableName(UserError, ValueError):
+    """The name of an arena or of a participant cannot be part of a key; the text says what it must be."""
 
 
 class UndeclaredKey(Refused):
@@ -58,7 +64,8 @@ class Sample(Struct, eq=False):
         key: short key.
         publisher: name of the participant that published it, empty when a stranger did.
         sequence: number of the message among those its publisher published on this key since it started, from 0.
-        published: when it was published, ns since the Unix epoch (the network's clock when in-process).
+        published: when it was published, ns since the Unix epoch (the network's clock when in-process). One clock for all
+            publishers of this machine, which does not step when the wall clock is set; for the record, it orders nothing.
     """
 
     key: str
@@ -188,9 +195,10 @@ class Bus(ABC):
 
     def __init__(self, name: str, arena: str, topics: Mapping[str, Topic] = TOPICS, calls: Mapping[str, Call] = CALLS) -> None:
         for word, text in (("name", name), ("arena", arena)):
-            check(text)
-            if "/" in text or "*" in text or not text.isascii() or len(text) > NAME_LIMIT:
-                raise ValueError(f"{word} {text!r} must be one plain ASCII word of at most {NAME_LIMIT} letters")
+            if not _PLAIN.fullmatch(text) or len(text) > NAME_LIMIT:
+                raise UnusableName(
+                    f"{word} {text!r} must be one word of at most {NAME_LIMIT} letters, digits, `-`, `_` and `.`: choose another"
+                )
         self.name = name
         self.arena = arena
         self._topics = topics

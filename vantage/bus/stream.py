@@ -4,6 +4,10 @@ The publisher keeps its last messages and answers questions for them. This is th
 arrives goes in, what is to be delivered comes out, and `question` says what to ask the publisher for. One mechanism serves the
 late joiner, what was published before the two had met, what the network dropped, and what a stopped reader did not take.
 
+What is published reaches a reader that has subscribed, so whatever arrives live is new. Only what comes out of a publisher's
+cache may be older than the subscription; the caller judges that, by a clock that both share (`vantage.bus.clock`). Where they
+share none, the reader takes for old what it finds in the cache before it has joined, up to the first message that arrived live.
+
 Zenoh's own `AdvancedSubscriber` is not used: when it meets a publisher again after a lost connection it asks for its history
 first, and then reports everything between as missed instead of fetching it.
 """
@@ -37,19 +41,18 @@ class Stream(Generic[AnyItem]):
     """The reader's side of one stream.
 
     Args:
-        since: time at which the reader subscribed, ns; what was published before is history.
-        history: how many messages of history it wants.
+        history: how many messages published before the reader subscribed it wants.
         limit: how many messages may wait for missing ones; beyond that the missing are given up.
     """
 
-    def __init__(self, since: int, history: int, limit: int) -> None:
+    def __init__(self, history: int, limit: int) -> None:
         self.next: int | None = None  # sequence to deliver next; None until the reader has joined
-        self.held: dict[int, tuple[int, AnyItem]] = {}
-        self._since = since
+        self.held: dict[int, tuple[bool, AnyItem]] = {}  # sequence -> (is it history, message)
         self._history = history
         self._limit = limit
         self._last = -1  # highest sequence the publisher is known to have published
-        self._started_after = False
+        self._live_from: int | None = None  # lowest sequence that arrived live
+        self._owes_all = False  # the publisher is known to have started after the reader subscribed
         self._asking = False
         self._worth_asking = False
         self._lowest_answer: int | None = None
@@ -67,15 +70,20 @@ class Stream(Generic[AnyItem]):
             return True
         return False
 
-    def arrived(self, sequence: int, published: int, started: int, item: AnyItem) -> list[AnyItem | Missing]:
-        """Take a message as it was published; `started` is when its publisher started. Returns what to deliver."""
+    def arrived(self, sequence: int, item: AnyItem, *, owes_all: bool = False) -> list[AnyItem | Missing]:
+        """Take a message as it was published. Returns what to deliver.
+
+        Args:
+            owes_all: its publisher is known to have started after the reader subscribed.
+        """
         self._worth_asking = True
-        self._started_after = started >= self._since
+        self._owes_all = self._owes_all or owes_all
+        self._live_from = sequence if self._live_from is None else min(self._live_from, sequence)
         if self.next is None and sequence == 0:
             self.next = 0
         if self.next is not None and sequence < self.next:
             return []
-        self.held[sequence] = (published, item)
+        self.held[sequence] = (False, item)
         if len(self.held) > self._limit:
             return self._give_up()
         return self._drain() if self.next is not None else []
@@ -114,13 +122,20 @@ class Stream(Generic[AnyItem]):
             self._asked_for, self._in_vain, self._doubt = self.next, 0, 0
         return f"_sn={self.next}.." if self._in_vain else f"_sn={self.next}..{self.next + WINDOW - 1}"
 
-    def answered(self, sequence: int, published: int, started: int, item: AnyItem) -> list[AnyItem | Missing]:
-        """Take a message out of the publisher's cache, which answers in order; some answers may get lost."""
-        self._started_after = started >= self._since
+    def answered(self, sequence: int, item: AnyItem, *, old: bool | None, owes_all: bool = False) -> list[AnyItem | Missing]:
+        """Take a message out of the publisher's cache, which answers in order; some answers may get lost.
+
+        Args:
+            old: it was published before the reader subscribed; None: no common clock tells.
+            owes_all: as in `arrived`.
+        """
+        self._owes_all = self._owes_all or owes_all
         if self._lowest_answer is None:
             self._lowest_answer = sequence
+        if old is None:
+            old = self.next is None and (self._live_from is None or sequence < self._live_from)
         if self.next is None or sequence >= self.next:
-            self.held[sequence] = (published, item)
+            self.held.setdefault(sequence, (old, item))
         return self._drain() if self.next is not None else []
 
     def ended(self) -> list[AnyItem | Missing]:
@@ -144,12 +159,12 @@ class Stream(Generic[AnyItem]):
         """Start delivering, the wanted history and everything since, if it is sure (or for good) where that begins."""
         if not self.held:
             return []
-        history = sorted(sequence for sequence, (published, _) in self.held.items() if published < self._since)
+        history = sorted(sequence for sequence, (old, _) in self.held.items() if old)
         if not (history or 0 in self.held or for_good):
             return []
         for sequence in history[: max(0, len(history) - self._history)]:
             del self.held[sequence]
-        if self._started_after:
+        if self._owes_all:
             self.next = 0
         elif history:
             self.next = history[-1] + 1 - min(self._history, len(history))
@@ -165,7 +180,7 @@ class Stream(Generic[AnyItem]):
             found = self.held.pop(self.next, None)
             if found is not None:
                 # Where answers got lost, the reader may have joined too early; who wants no history must not get any.
-                if self._history or found[0] >= self._since:
+                if self._history or not found[0]:
                     delivered.append(found[1])
                 self.next += 1
             elif self.next < self._kept_from:

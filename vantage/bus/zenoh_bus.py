@@ -24,8 +24,9 @@ from zenoh.handlers import Callback
 
 from schemas import CALLS, TOPICS, Call, Message, Topic, encode
 from vantage.bus.allocator import keep_freed_memory
+from vantage.bus.clock import MACHINE, SteadyClock
 from vantage.bus.interface import Bus, CannotOpen, Event, wrong_type
-from vantage.bus.zenoh_events import NUMBERS, Asked, Item, LivelinessChange, Pending, Posted, encoding_of, pack
+from vantage.bus.zenoh_events import NUMBERS, Asked, Item, LivelinessChange, Pending, Posted, encoding_of, origin_of, pack
 from vantage.bus.zenoh_readers import Lossless, Newest, Reader, Strangers
 from vantage.bus.zenoh_session import open_session
 
@@ -57,6 +58,7 @@ class ZenohBus(Bus):
         name: this participant; its socket is `<folder>/<name>.sock`.
         folder: where the deployment's sockets are; made with mode 0700.
         arena: the deployment's arena: keys stand under `vantage/<arena>/`.
+        clock: the machine's, unless a test brings one.
 
     Raises:
         NameInUse, CannotOpen: see `open_session`.
@@ -70,8 +72,10 @@ class ZenohBus(Bus):
         *,
         topics: Mapping[str, Topic] = TOPICS,
         calls: Mapping[str, Call] = CALLS,
+        clock: SteadyClock = MACHINE,
     ) -> None:
         super().__init__(name, arena, topics, calls)
+        self._clock = clock
         self.prefix = f"vantage/{arena}/"
         self._inbox: queue.SimpleQueue[Item | zenoh.Sample | None] = queue.SimpleQueue()
         self.put = self._inbox.put
@@ -80,7 +84,7 @@ class ZenohBus(Bus):
         self._reading: set[str] = set()
         self._direct: dict[str, Lossless] = {}  # who reads the bare samples on the queue, by their whole key
         self._kept: list[Any] = []  # Zenoh undeclares what nobody holds
-        self._origin = time.time_ns().to_bytes(8, "little") + name.encode()
+        self._origin = origin_of(name, clock)
         self._ready: deque[Event] = deque()
         self._timers: list[tuple[float, int, Item]] = []
         self._timer_numbers = itertools.count()
@@ -105,8 +109,7 @@ class ZenohBus(Bus):
         if type(message) is not writer.kind:
             raise wrong_type(writer.topic, message)
         payload = encode(message)
-        # Times are unique and increase, even where the clock does not.
-        self._published = now = max(time.time_ns(), self._published + 1)
+        self._published = now = max(self._clock.wall(), self._published + 1)  # unique
         sequence = writer.sequence
         writer.sequence += 1
         writer.put(payload, attachment=_pack_numbers(sequence, now) + self._origin)
@@ -131,15 +134,16 @@ class ZenohBus(Bus):
                     self._reading.add(topic.key)
                     self._subscribe(session, topic, raw)
             if raw and "*" in expression:
-                self._kept += Strangers(self.put, self.prefix, expression, self._topics).declare(session)
+                self._kept += Strangers(self.put, self.prefix, expression, self._topics, self._clock).declare(session)
 
     def _subscribe(self, session: zenoh.Session, topic: Topic, raw: bool) -> None:
         reader: Reader
         if topic.delivery == "lossless":
-            reader = Lossless(self.put, self._later, self.prefix, topic, raw)
+            reader = Lossless(self.put, self._later, self.prefix, topic, raw, self._clock)
             self._direct[self.prefix + topic.key] = reader
         else:
-            reader = Reader(self.put, self.prefix, topic) if raw else Newest(self.put, self.prefix, topic)
+            kind = Reader if raw else Newest
+            reader = kind(self.put, self.prefix, topic, self._clock)
         self._kept += reader.declare(session)
 
     def receive(self, timeout: float) -> Event | Any | None:
@@ -194,7 +198,7 @@ class ZenohBus(Bus):
             congestion_control=zenoh.CongestionControl.BLOCK,
             payload=encode(request),
             encoding=encoding_of(call.request),
-            attachment=pack(pending.token, time.time_ns(), self._origin),
+            attachment=pack(pending.token, self._clock.wall(), self._origin),
         )
         return pending.token
 

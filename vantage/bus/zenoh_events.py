@@ -14,12 +14,17 @@ from typing import Protocol
 import zenoh
 
 from schemas import Call, Message
+from vantage.bus.clock import IDENTITY_SIZE, SteadyClock
 from vantage.bus.interface import NAME_LIMIT, Alive, Event, Reply, Request
 
 NUMBERS = struct.Struct("<QQ")
 """Sequence and time of publishing, at the head of an attachment; the origin follows."""
 
 ORIGIN = NUMBERS.size
+
+_STARTED = struct.Struct("<Q")
+_CLOCK = struct.Struct(f"<{IDENTITY_SIZE}sq")
+_END_OF_NAME = b"\0"
 
 _REFUSAL = zenoh.Encoding("text/plain").with_schema("vantage.Refusal")
 
@@ -30,8 +35,9 @@ class Stamp:
 
     Attributes:
         sequence: number of the message on its key, from 0 at each start of the publisher.
-        published: ns.
-        origin: start time (8 bytes) and name of the publisher: the same for all it publishes, another after a restart.
+        published: ns, by the publisher's wall clock as it was when it started.
+        origin: start time (8 bytes) and name of the publisher: the same for all it publishes, another after a restart. Our own
+            publishers add a zero byte, the identity of their steady clock, and its reading at the start.
     """
 
     sequence: int
@@ -40,11 +46,25 @@ class Stamp:
 
     @property
     def publisher(self) -> str:
-        return self.origin[8:].decode()
+        return self.origin[_STARTED.size :].partition(_END_OF_NAME)[0].decode()
 
     @property
     def started(self) -> int:
-        return int.from_bytes(self.origin[:8], "little")
+        return int(_STARTED.unpack_from(self.origin)[0])
+
+    def shift(self, clock: SteadyClock) -> int | None:
+        """Return what turns times of this publisher into times of `clock`, ns; None where no common clock tells."""
+        _, separator, rest = self.origin[_STARTED.size :].partition(_END_OF_NAME)
+        if not separator:
+            return None
+        identity, started = _CLOCK.unpack(rest)
+        return int(started) - self.started if identity == clock.identity else None
+
+
+def origin_of(name: str, clock: SteadyClock) -> bytes:
+    """Return the origin of a publisher that starts now."""
+    started = clock.now()
+    return _STARTED.pack(started + clock.wall_minus_steady) + name.encode() + _END_OF_NAME + _CLOCK.pack(clock.identity, started)
 
 
 def pack(sequence: int, published: int, origin: bytes) -> bytes:
@@ -55,11 +75,12 @@ def pack(sequence: int, published: int, origin: bytes) -> bytes:
 def unpack(attachment: zenoh.ZBytes | None) -> Stamp | None:
     """Return the stamp of a message; None when it is a stranger's."""
     data = attachment.to_bytes() if attachment is not None else b""
-    if not ORIGIN + 8 < len(data) <= ORIGIN + 8 + NAME_LIMIT:
+    origin = data[ORIGIN:]
+    name, separator, clock = origin[_STARTED.size :].partition(_END_OF_NAME)
+    if not 0 < len(name) <= NAME_LIMIT or not name.isascii() or (separator and len(clock) != _CLOCK.size):
         return None
     sequence, published = NUMBERS.unpack_from(data)
-    origin = data[ORIGIN:]
-    if sequence >= 2**63 or published >= 2**63 or not origin[8:].isascii():
+    if sequence >= 2**63 or published >= 2**63:
         return None
     return Stamp(sequence, published, origin)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -13,6 +12,7 @@ from zenoh import ext
 from zenoh.handlers import Callback
 
 from schemas import Topic
+from vantage.bus.clock import SteadyClock
 from vantage.bus.interface import Event, Lost, Sample
 from vantage.bus.stream import Missing, Stream
 from vantage.bus.zenoh_events import NUMBERS, ORIGIN, Item, Put, Stamp, unpack
@@ -36,10 +36,11 @@ _unpack_numbers = NUMBERS.unpack_from
 class Reader:
     """A subscription that passes on everything as it comes."""
 
-    def __init__(self, put: Put, prefix: str, topic: Topic | None) -> None:
+    def __init__(self, put: Put, prefix: str, topic: Topic | None, clock: SteadyClock) -> None:
         self.put = put
         self.prefix = prefix
         self.topic = topic
+        self.clock = clock
         self._arrived = 0
         self._read = 0
 
@@ -68,8 +69,11 @@ class Reader:
         key = self.topic.key if self.topic else str(sample.key_expr).removeprefix(self.prefix)
         kind = self.topic.type if self.topic else None
         if stamp is None:
-            return Sample(key, payload, "", 0, time.time_ns(), kind)
-        return Sample(key, payload, stamp.publisher, stamp.sequence, stamp.published, kind)
+            return Sample(key, payload, "", 0, self.clock.wall(), kind)
+        shift = stamp.shift(self.clock)
+        # One wall clock for all publishers of this machine, whenever they started.
+        published = stamp.published + (0 if shift is None else shift + self.clock.wall_minus_steady)
+        return Sample(key, payload, stamp.publisher, stamp.sequence, published, kind)
 
 
 class Arrival:
@@ -88,8 +92,8 @@ class Arrival:
 class Strangers(Reader):
     """The recorder's subscription to what no table declares."""
 
-    def __init__(self, put: Put, prefix: str, expression: str, declared: Mapping[str, Topic]) -> None:
-        super().__init__(put, prefix, None)
+    def __init__(self, put: Put, prefix: str, expression: str, declared: Mapping[str, Topic], clock: SteadyClock) -> None:
+        super().__init__(put, prefix, None, clock)
         self._expression = expression
         self._declared = {prefix + key for key in declared}
 
@@ -104,8 +108,8 @@ class Strangers(Reader):
 class Newest(Reader):
     """A subscription that keeps the newest unread message only; it stands on the queue itself, once."""
 
-    def __init__(self, put: Put, prefix: str, topic: Topic) -> None:
-        super().__init__(put, prefix, topic)
+    def __init__(self, put: Put, prefix: str, topic: Topic, clock: SteadyClock) -> None:
+        super().__init__(put, prefix, topic, clock)
         self._unread: zenoh.Sample | None = None
         self._lock = threading.Lock()
 
@@ -130,12 +134,13 @@ Later = Callable[[float, Item], None]
 class _Source:
     """One publisher, from its start to its end, as a lossless subscription knows it."""
 
-    __slots__ = ("identity", "publisher", "stream")
+    __slots__ = ("identity", "publisher", "stream", "to_wall")
 
     def __init__(self, identity: str, stream: Stream[Sample]) -> None:
         self.identity = identity  # zid/eid, as in the keys of its cache, its token and its heartbeat
         self.publisher = ""
         self.stream = stream
+        self.to_wall = 0  # ns to add to its times of publishing
 
 
 class Lossless(Reader):
@@ -145,8 +150,8 @@ class Lossless(Reader):
     with its last sequence number, and a cache that answers `_max=<count>` and `_sn=<first>..`.
     """
 
-    def __init__(self, put: Put, later: Later, prefix: str, topic: Topic, raw: bool) -> None:
-        super().__init__(put, prefix, topic)
+    def __init__(self, put: Put, later: Later, prefix: str, topic: Topic, raw: bool, clock: SteadyClock) -> None:
+        super().__init__(put, prefix, topic, clock)
         self._later = later
         self._key = prefix + topic.key
         self._short_key = topic.key
@@ -155,7 +160,7 @@ class Lossless(Reader):
         self._history = max(topic.cache, topic.history) if raw else topic.history
         # Zenoh's thread queues the bare sample, if it need not look at it: not a line of Python runs there.
         self._callback = self.arrived if raw else put
-        self._since = time.time_ns()
+        self._since = clock.now()
         self._by_identity: dict[str, _Source] = {}
         self._by_origin: dict[bytes, _Source] = {}
         self._session: zenoh.Session | None = None
@@ -184,6 +189,7 @@ class Lossless(Reader):
             if source is not None:
                 sequence, published = NUMBERS.unpack_from(data)
                 if source.stream.follows(sequence):
+                    published += source.to_wall
                     return Sample(
                         self._topic.key, sample.payload.to_bytes(), source.publisher, sequence, published, self._topic.type
                     )
@@ -196,13 +202,21 @@ class Lossless(Reader):
         if source is None or stamp is None or source.stream.follows(stamp.sequence):
             ready.append(event)
         else:
-            self.deliver(source, source.stream.arrived(stamp.sequence, stamp.published, stamp.started, event), ready)
+            owes_all = bool(self._is_since(stamp, stamp.started))
+            self.deliver(source, source.stream.arrived(stamp.sequence, event, owes_all=owes_all), ready)
+
+    def _is_since(self, stamp: Stamp, time: int) -> bool | None:
+        """Return whether a time of a publisher is after this subscription; None where no common clock tells."""
+        shift = stamp.shift(self.clock)
+        return None if shift is None else time + shift >= self._since
 
     def _meet(self, stamp: Stamp, info: zenoh.SourceInfo | None, ready: deque[Event]) -> _Source | None:
         if info is None:
             return None
         source = self.source(f"{info.source_id.zid}/{info.source_id.eid}")
         source.publisher = stamp.publisher
+        if (shift := stamp.shift(self.clock)) is not None:
+            source.to_wall = shift + self.clock.wall_minus_steady
         for other in self._by_identity.values():
             # A name is on the bus once: what it published before its restart ends here.
             if other is not source and other.publisher == source.publisher:
@@ -214,13 +228,20 @@ class Lossless(Reader):
         """Return what is known of a publisher, from now on at the latest."""
         source = self._by_identity.get(identity)
         if source is None:
-            stream: Stream[Sample] = Stream(self._since, self._history, max(HELD_LIMIT, self._topic.cache))
+            stream: Stream[Sample] = Stream(self._history, max(HELD_LIMIT, self._topic.cache))
             source = self._by_identity[identity] = _Source(identity, stream)
         return source
 
     def left(self, source: _Source) -> None:
         if source.stream.left():
             self._later(PATIENCE, _Abandoned(self, source))
+
+    def answered(self, source: _Source, stamp: Stamp, event: Sample, ready: deque[Event]) -> None:
+        """Take a message out of a publisher's cache."""
+        since = self._is_since(stamp, stamp.published)
+        old = None if since is None else not since
+        owes_all = bool(self._is_since(stamp, stamp.started))
+        self.deliver(source, source.stream.answered(stamp.sequence, event, old=old, owes_all=owes_all), ready)
 
     def abandon(self, source: _Source, ready: deque[Event]) -> None:
         self.deliver(source, source.stream.abandon(), ready)
@@ -325,5 +346,4 @@ class _Answer:
         if sample is None or stamp is None:
             return
         source.publisher = stamp.publisher
-        event = reader.event(sample, stamp)
-        reader.deliver(source, source.stream.answered(stamp.sequence, stamp.published, stamp.started, event), ready)
+        reader.answered(source, stamp, reader.event(sample, stamp), ready)

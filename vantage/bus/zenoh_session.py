@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import fcntl
 import json
 import os
-import stat
 from pathlib import Path
 
 import zenoh
 
 from vantage.bus.interface import CannotOpen, NameInUse
+from vantage.bus.names import is_held, living_names
+from vantage.private_folder import NotPrivate, make_private
 
 LEASE = 10.0
 """Seconds without a sign of life after which a peer's connection is closed (a peer that dies is seen at once).
@@ -34,7 +34,12 @@ def open_session(name: str, folder: Path, known: frozenset[str]) -> zenoh.Sessio
     """
     folder = Path(os.path.abspath(folder))
     _check_path(name, folder)
-    _make_private(folder)
+    try:
+        make_private(folder)
+    except NotPrivate as error:
+        raise CannotOpen(str(error)) from None
+    except OSError as error:
+        raise CannotOpen(f"cannot make the folder for sockets {folder}: {error.strerror}") from error
     _refuse_taken_name(name, folder)
     try:
         return zenoh.open(zenoh.Config.from_json5(json.dumps(configuration(name, folder, known))))
@@ -87,12 +92,7 @@ def connections(name: str, folder: Path, known: frozenset[str]) -> list[str]:
     """
     if name in known:
         return sorted(other for other in known if other < name)
-    return sorted((known | set(_living(folder))) - {name})
-
-
-def _living(folder: Path) -> list[str]:
-    """Return who is on the bus now."""
-    return [lock.name.removesuffix(".sock.lock") for lock in folder.glob("*.sock.lock") if _is_held(lock)]
+    return sorted((known | set(living_names(folder))) - {name})
 
 
 def _endpoint(name: str, folder: Path) -> str:
@@ -110,38 +110,6 @@ def _check_path(name: str, folder: Path) -> None:
         raise CannotOpen(f"{path}: a folder for sockets must not have `#`, `?` or `;` in its path")
 
 
-def _make_private(folder: Path) -> None:
-    try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        found = folder.lstat()
-    except OSError as error:
-        raise CannotOpen(f"cannot make the folder for sockets {folder}: {error.strerror}") from error
-    if not stat.S_ISDIR(found.st_mode):
-        raise CannotOpen(f"{folder} is not a folder of its own (a link?): the bus needs a private one for its sockets")
-    if found.st_uid != os.geteuid():
-        raise CannotOpen(
-            f"{folder} belongs to user {found.st_uid}, not to you ({os.geteuid()}): choose another folder for the sockets"
-        )
-    if found.st_mode & 0o077:
-        mode = stat.S_IMODE(found.st_mode)
-        raise CannotOpen(f"{folder} is open to other users (mode {mode:04o}): `chmod 700 {folder}`, or choose another folder")
-
-
 def _refuse_taken_name(name: str, folder: Path) -> None:
-    if _is_held(Path(f"{folder / name}.sock.lock")):
+    if is_held(Path(f"{folder / name}.sock.lock")):
         raise NameInUse(f"{name!r} is on the bus in {folder} already: stop that process first")
-
-
-def _is_held(lock: Path) -> bool:
-    """Return whether a living process holds a socket: Zenoh locks `<socket>.lock` while it listens."""
-    try:
-        descriptor = os.open(lock, os.O_RDONLY)
-    except FileNotFoundError:
-        return False
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return True
-    finally:
-        os.close(descriptor)
-    return False

@@ -6,6 +6,7 @@ the log stands on the same floor as the rooms that define them.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import cast
 
@@ -28,9 +29,11 @@ class Appearance:
     """What things look like.
 
     Attributes:
-        palette: uint8 [n, 3], red green blue of the state image's indices.
-        palette_names: what each index means, n words.
-        danger: colours of a value map from safe to dangerous, in equal distances; uint8 [m, 3].
+        palette: uint8 [n, 3], red green blue of the state image's indices as networks see them: for data sets.
+        palette_names: what each index means, n words; the last two are a robot's own disc and the other robot's.
+        view_palettes: robot -> uint8 [n, 3], the same as people see them: each robot in its own colour, whoever looks.
+        predicted_view: a predicted view of the seeker's in a network's colours -> the same in those that people see.
+        danger: colours of a value map from no danger to the highest, in equal distances; uint8 [m, 3].
         robot_radius, robot_height: m.
         robot_colors: robot -> its colour.
         arena_size: m; of its longer side.
@@ -40,14 +43,25 @@ class Appearance:
 
     palette: Picture
     palette_names: tuple[str, ...]
+    view_palettes: Mapping[Robot, Picture]
+    predicted_view: Callable[[Picture], Picture]
     danger: Picture
     robot_radius: float
     robot_height: float
-    robot_colors: dict[Robot, Color]
+    robot_colors: Mapping[Robot, Color]
     arena_size: float
     blocked_color: Color = (128, 128, 128)
     floor_color: Color = (225, 225, 225)
     box_color: Color = (90, 90, 100)
+
+    def view_names(self, robot: Robot) -> tuple[str, ...]:
+        """Return what each index of a robot's state images means, with the names of the robots."""
+        other: Robot = "seeker" if robot == "hider" else "hider"
+        return (*self.palette_names[:-2], robot, other)
+
+    def view_picture(self, indices: Picture, robot: Robot) -> Picture:
+        """Return a robot's state image, palette indices [...], as people see it, uint8 [..., 3]."""
+        return cast(Picture, np.take(self.view_palettes[robot], indices, axis=0, mode="clip"))
 
 
 def row_repeats(height: int) -> int:
@@ -56,10 +70,10 @@ def row_repeats(height: int) -> int:
 
 
 def value_picture(values: tuple[float | None, ...], goal: int | None, looks: Appearance) -> Picture:
-    """Return the value map as a picture, uint8 [220, 220, 3].
+    """Return the value map as a picture of danger, uint8 [220, 220, 3].
 
-    The far side is at the top; the safest goal has the first colour of `looks.danger`, the most dangerous one the last, the
-    chosen goal a black frame.
+    The far side is at the top; the goal of the lowest danger has the first colour of `looks.danger`, that of the highest the
+    last, the chosen goal a black frame.
     """
     grid = np.array([np.nan if value is None else value for value in values]).reshape(GOALS_A_SIDE, GOALS_A_SIDE)
     open_goals = ~np.isnan(grid)

@@ -15,7 +15,7 @@ from vantage.log.games import WORD_TOPICS
 from vantage.log.metadata import EXPORTED, PART, VIEWER_PREFIX
 from vantage.log.outline import GameOutline, time_span
 from vantage.log.reader import Log, Record, open_log, parts_of
-from vantage.log.target import ExportError, Progress, in_silence, require_free, whole
+from vantage.log.target import Progress, in_silence, require_free, whole
 from vantage.log.viewer import Viewer, ViewerMessage
 from vantage.log.writer import LogWriter
 
@@ -33,7 +33,7 @@ def export(source: Path, target: Path, viewer: Viewer) -> tuple[int, list[str]]:
 
     Raises:
         NoSuchLog: not one log is there.
-        TargetExists: the target exists.
+        AlreadyExists: the target exists.
         OSError: the disk.
     """
     with open_log(*parts_of(source)) as log:
@@ -126,19 +126,11 @@ def export_log(
                 publisher=record.publisher,
                 well_formed=record.well_formed or record.key not in TOPICS,
             )
-            if writer.error is not None:
-                break
         return count
 
     with whole(target, force=force, is_ours=_is_copy, sources=sources) as partial:
         with LogWriter(partial, metadata, viewer=translate) as writer:
             count = copied(writer, log.records() if game is None else _records_of(log, game))
-            # Noted here, because closing writes what is left, which may be small enough to succeed.
-            failure = writer.error
-        failure = failure or writer.error
-        if failure is not None or writer.dropped:
-            why = (failure or "messages were lost").partition("; messages dropped")[0].rpartition(": ")[2]
-            raise ExportError(f"{target}: {why}")
         with whole(layout, force=force, is_ours=_is_layout) as partial_layout:
             partial_layout.write_text(as_json(layout_of(shown, viewer.appearance)))
     progress("writing", 1.0)

@@ -88,6 +88,8 @@ def export_to(
         else:
             done = _by_game(format, log, games, stem, source, output, looks, force, progress)
         done.breaks += log.breaks
+        if log.recording:
+            done.said.append(f"{source} is being recorded now: the export ends where the log did")
         return done
 
 
@@ -185,7 +187,7 @@ def _to_lerobot(
         with open_log(*logs[0]) as log:
             _require_messages(source, log)
     summary = write_dataset(logs, target, looks, episode=episode, force=force, progress=progress, choice=choice)
-    done.said.append(f"{target}: {summary.episodes} episodes, {summary.frames} frames")
+    done.said.append(f"{target}: {summary.episodes} {'game' if summary.episodes == 1 else 'games'}, {summary.frames} frames")
     done.said += summary.left_out
     done.breaks += summary.breaks
     return done

@@ -6,6 +6,7 @@ turn comes and they hold a wanted channel.
 
 from __future__ import annotations
 
+import fcntl
 import mmap
 import struct
 import zlib
@@ -17,21 +18,24 @@ from operator import itemgetter
 from pathlib import Path
 from typing import Any
 
-import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Metadata, Schema
+from mcap.records import Channel, Header, Metadata, Schema
 from mcap.writer import MCAP0_MAGIC
 
+from vantage.log.compression import decompress
 from vantage.log.metadata import RUN
 
 _HEAD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<BQHIQQ")
 _CHUNK = struct.Struct("<QQQII")
 _TIME = struct.Struct("<Q")
-_LARGEST_CHUNK = 1 << 32
+_MOST_MESSAGES = 1 << 20
+"""Messages of a chunk above which it is refused: what they weigh in memory is not bounded by their bytes."""
+_PRIVATE = 0x80
+"""Opcodes from here on are for other programs' own records."""
 _BARE_CHUNK = 1 << 20
 """Bytes of an unchunked file that are read together."""
 
@@ -54,6 +58,12 @@ def _read_record(kind: Any, data: bytes) -> Any:
     return kind.read(ReadDataStream(BytesIO(data)))
 
 
+def read_metadata(content: bytes) -> Metadata:
+    """Return the metadata record with this content."""
+    record: Metadata = _read_record(Metadata, content)
+    return record
+
+
 DAMAGE = (struct.error, McapError, ValueError, LookupError, OverflowError, MemoryError, RuntimeError, zstandard.ZstdError)
 
 
@@ -67,10 +77,13 @@ class LogFile:
     """One MCAP file, gone through once when it is opened.
 
     Attributes:
+        profile, library: of the header.
         metadata: name -> the last metadata record of that name.
+        extras: (opcode, start, end) of every metadata record, attachment and private record, in order.
         schemas, channels: by their ids in this file.
         breaks: what could not be read, a line each; empty for a whole file.
         finished: whether the file was closed properly.
+        recording: whether a writer has the file open now: that it ends somewhere is no fault then.
     """
 
     def __init__(self, path: Path) -> None:
@@ -80,31 +93,53 @@ class LogFile:
             OSError: it cannot be opened.
         """
         self.path = path
+        self.profile = self.library = ""
         self.metadata: dict[str, dict[str, str]] = {}
+        self.extras: list[tuple[int, int, int]] = []
         self.schemas: dict[int, Schema] = {}
         self.channels: dict[int, Channel] = {}
         self.breaks: list[str] = []
         self.finished = False
         self.chunks: list[Chunk] = []
-        with path.open("rb") as file:
-            size = file.seek(0, 2)
-            self._map: mmap.mmap | bytes = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
-        self._size = size
+        self._opened: mmap.mmap | bytes | None = None
+        # Before the size is taken: a file that is closed in between must not look broken.
+        self.recording = is_recorded_now(path)
+        self._size = len(self.content)
         self._scan()
+        self.recording &= not self.finished
         self._learn_channels()
 
+    @property
+    def is_mcap(self) -> bool:
+        """Whether the file begins as every MCAP file does."""
+        return self.content[:8] == MCAP0_MAGIC
+
+    @property
+    def content(self) -> mmap.mmap | bytes:
+        """The file's bytes; a file that was closed is opened again.
+
+        Raises:
+            OSError: it cannot be opened.
+        """
+        if self._opened is None:
+            with self.path.open("rb") as file:
+                size = file.seek(0, 2)
+                self._opened = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) if size else b""
+        return self._opened
+
     def close(self) -> None:
-        """Let go of the file."""
-        if isinstance(self._map, mmap.mmap):
-            self._map.close()
+        """Let go of the file, until something is read from it again."""
+        opened, self._opened = self._opened, None
+        if isinstance(opened, mmap.mmap):
+            opened.close()
 
     def _note(self, text: str) -> None:
         if text not in self.breaks:
             self.breaks.append(text)
 
     def _scan(self) -> None:
-        view = self._map
-        if view[:8] != MCAP0_MAGIC:
+        view = self.content
+        if not self.is_mcap:
             self._note("not an MCAP file" if self._size >= 8 else f"only {self._size} bytes")
             return
         position, bare = 8, None
@@ -132,7 +167,9 @@ class LogFile:
                         self._note("the last bytes are missing")
                     return
             position = following
-        self._note(f"breaks off at byte {position} of {self._size}")
+        if not self.recording:
+            at = f"byte {position} of {self._size}" if position < self._size else f"its end, byte {position}"
+            self._note(f"breaks off at {at}: it was not closed")
         if self.chunks:
             self.chunks[-1].channels = None  # its index may be cut off, too
 
@@ -158,8 +195,14 @@ class LogFile:
                 channel = _read_record(Channel, view[body : body + length])
                 self.channels[channel.id] = channel
             case Opcode.METADATA:
-                record = _read_record(Metadata, view[body : body + length])
+                record = read_metadata(view[body : body + length])
                 self.metadata[record.name] = record.metadata
+                self.extras.append((opcode, body, body + length))
+            case Opcode.HEADER:
+                header = _read_record(Header, view[body : body + length])
+                self.profile, self.library = header.profile, header.library
+            case _ if opcode == Opcode.ATTACHMENT or opcode >= _PRIVATE:
+                self.extras.append((opcode, body, body + length))
 
     def bytes_of(self, chunk: Chunk) -> bytes:
         """Return the decompressed records of a chunk.
@@ -167,18 +210,10 @@ class LogFile:
         Raises:
             ValueError and others: it is damaged.
         """
-        stored = self._map[chunk.offset : chunk.offset + chunk.length]
-        if chunk.uncompressed > _LARGEST_CHUNK:
-            raise ValueError(f"chunk claims {chunk.uncompressed} bytes")
-        match chunk.compression:
-            case None | "":
-                data = stored
-            case "lz4":
-                data = lz4.frame.decompress(stored)
-            case "zstd":
-                data = zstandard.ZstdDecompressor().decompress(stored, max_output_size=chunk.uncompressed)
-            case other:
-                raise ValueError(f"unknown compression {other!r}")
+        stored = self.content[chunk.offset : chunk.offset + chunk.length]
+        if chunk.compression is None:
+            return stored
+        data = decompress(stored, chunk.compression, chunk.uncompressed)
         if chunk.crc and zlib.crc32(data) != chunk.crc:
             raise ValueError("CRC does not match")
         return data
@@ -237,9 +272,13 @@ class LogFile:
                 if length < 22 or following > size:
                     raise ValueError("message longer than its chunk")
                 append((channel, sequence, log_time, publish_time, data[position + 31 : following]))
+                if len(found) > _MOST_MESSAGES:
+                    raise ValueError(f"more than {_MOST_MESSAGES} messages in one chunk")
             else:
                 opcode, length = _HEAD.unpack_from(data, position)
                 following = position + 9 + length
+                if not opcode:
+                    raise ValueError("a record of no kind")
                 if following > size:
                     raise ValueError("record longer than its chunk")
                 if opcode in (Opcode.CHANNEL, Opcode.SCHEMA):
@@ -258,10 +297,26 @@ def first_metadata(path: Path) -> dict[str, str]:
             opcode, length = _HEAD.unpack_from(start, position)
             body, position = position + 9, position + 9 + length
             if opcode == Opcode.METADATA:
-                record = _read_record(Metadata, start[body:position])
+                record = read_metadata(start[body:position])
                 return record.metadata if record.name == RUN else {}
             if opcode != Opcode.HEADER:
                 break
     except DAMAGE:
         pass
     return {}
+
+
+def is_recorded_now(path: Path) -> bool:
+    """Return whether a writer has this file open (see `Part.open`).
+
+    Raises:
+        OSError: it cannot be opened.
+    """
+    with path.open("rb") as file:
+        try:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+        except BlockingIOError:
+            return True
+        except OSError:
+            pass  # a file system without locks
+    return False

@@ -6,7 +6,7 @@ Written in the form that both import: panels by id, and a binary tree that says 
 from __future__ import annotations
 
 import json
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any
 
 from schemas import ROBOTS
@@ -30,7 +30,7 @@ def layout_of(topics: Collection[str], looks: Appearance) -> dict[str, Any]:
     size = looks.arena_size
     there = {topic.removeprefix(VIEWER_PREFIX) for topic in topics if topic.startswith(VIEWER_PREFIX)}
     panels: dict[str, dict[str, Any]] = {}
-    panels["3D!scene"] = _scene(there, size)
+    panels["3D!scene"] = _scene(there, looks)
     rows: list[Tree] = []
     for robot in ROBOTS:
         row: list[Tree] = []
@@ -42,7 +42,7 @@ def layout_of(topics: Collection[str], looks: Appearance) -> dict[str, Any]:
     insight = [
         _add_image(panels, topic, title)
         for topic, title in (
-            ("hider/plan/picture", "value map: blue is safe, red is dangerous, the black frame is the goal"),
+            ("hider/plan/picture", "value map: danger of each goal, from blue (low) to red (high); the black frame is the goal"),
             ("predictor/views", "seeker views that the hider predicts"),
         )
         if topic in there
@@ -65,7 +65,7 @@ def layout_of(topics: Collection[str], looks: Appearance) -> dict[str, Any]:
                 "enabled": True,
                 "timestampMethod": "receiveTime",
                 "label": f"{robot} {coordinate}, m",
-                "color": "#{:02x}{:02x}{:02x}".format(*looks.robot_colors[robot]),
+                "color": _hexadecimal(looks.robot_colors[robot]),
             }
             for robot in ROBOTS
             if f"{robot}/pose" in there
@@ -103,16 +103,21 @@ def as_json(layout: Mapping[str, Any]) -> str:
     return json.dumps(layout, indent=1) + "\n"
 
 
-def _scene(there: Collection[str], size: float) -> dict[str, Any]:
+def _hexadecimal(color: Iterable[int]) -> str:
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def _scene(there: Collection[str], looks: Appearance) -> dict[str, Any]:
+    size = looks.arena_size
     topics: dict[str, Any] = {
         f"{VIEWER_PREFIX}{topic}": {"visible": True} for topic in ("scene", "hider/plan/path") if topic in there
     }
     if "hider/plan/values" in there:
         topics[f"{VIEWER_PREFIX}hider/plan/values"] = {
             "visible": True,
-            "colorField": "value",
+            "colorField": "danger",
             "colorMode": "gradient",
-            "gradient": ["#1ec83c80", "#e61e3c80"],
+            "gradient": [_hexadecimal(color) + "80" for color in (looks.danger[0], looks.danger[-1])],
         }
     for robot in ROBOTS:
         if f"{robot}/calibration" in there:

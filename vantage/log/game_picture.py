@@ -25,6 +25,7 @@ from schemas import (
 from vantage.log.appearance import Appearance, Picture, row_repeats, value_picture
 from vantage.log.outline import GameOutline, called
 from vantage.log.target import optional
+from vantage.printable import printable
 
 WIDTH, HEIGHT = 1280, 720
 _ARENA = (20, 80, 610)
@@ -76,9 +77,9 @@ class GamePicture:
             self._place(picture, pen, (left, 80), _PICTURE, self._camera(messages.get(f"{robot}/color")))
             left = _RIGHT + column * (_MAP + 10)
             self._label(pen, left, 338, f"{robot}'s state image")
-            self._place(picture, pen, (left, 356), (_MAP, _MAP), self._view(messages.get(f"{robot}/view")))
+            self._place(picture, pen, (left, 356), (_MAP, _MAP), self._view(robot, messages.get(f"{robot}/view")))
         left = _RIGHT + 2 * (_MAP + 10)
-        self._label(pen, left, 338, "value map, goal framed")
+        self._label(pen, left, 338, "danger of each goal, goal framed")
         values = self._plan.values if self._plan else ()
         shown = value_picture(values, self._plan.goal, self._looks) if self._plan and len(values) == GOAL_COUNT else None
         self._place(picture, pen, (left, 356), (_MAP, _MAP), shown, "no values")
@@ -95,23 +96,23 @@ class GamePicture:
         text = f"{called(self._game)}   step {step} of {said.rules.maximum_steps}   {seconds:.2f} s{outcome}"
         pen.text((20, 16), text, fill=_INK, font=self._fonts[24])
         who = f"seed {said.seed}, hider: {said.players.hider}, seeker: {said.players.seeker}, layout: {said.rules.layout}"
-        self._label(pen, 20, 56, who[:90])
+        self._label(pen, 20, 56, printable(who, 90))
 
     def _label(self, pen: Any, x: float, y: float, text: str, color: tuple[int, ...] = _QUIET) -> None:
         pen.text((x, y), text, fill=color, font=self._fonts[14])
 
     def _legend(self, pen: Any) -> None:
         y = 572
-        for name, color in zip(self._looks.palette_names, self._looks.palette, strict=True):
+        for name, color in zip(self._looks.palette_names[:-2], self._looks.palette[:-2], strict=True):
             pen.rectangle((_RIGHT, y + 2, _RIGHT + 14, y + 16), fill=tuple(int(part) for part in color), outline=_QUIET)
             self._label(pen, _RIGHT + 24, y, f"state image: {name}")
             y += 22
         meanings = (
-            (tuple(self._looks.danger[0].tolist()), "value map: safe"),
-            (tuple(self._looks.danger[-1].tolist()), "value map: dangerous"),
+            (self._looks.robot_colors["hider"], "hider in every picture; its path, its plan (thin)"),
+            (self._looks.robot_colors["seeker"], "seeker in every picture; its path"),
+            (tuple(self._looks.danger[0].tolist()), "value map: lowest danger"),
+            (tuple(self._looks.danger[-1].tolist()), "value map: highest danger"),
             (self._looks.blocked_color, "value map: blocked"),
-            (self._looks.robot_colors["hider"], "hider, its path and its plan (thin)"),
-            (self._looks.robot_colors["seeker"], "seeker and its path"),
         )
         y = 572
         for color, text in meanings:
@@ -146,11 +147,11 @@ class GamePicture:
         pixels = np.frombuffer(message.data, np.uint8).reshape(message.height, message.width, 3)
         return np.repeat(pixels, row_repeats(message.height), axis=0)
 
-    def _view(self, message: Message | None) -> Picture | None:
+    def _view(self, robot: Robot, message: Message | None) -> Picture | None:
         if not isinstance(message, StateImage):
             return None
         indices = np.frombuffer(message.data, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)
-        return cast(Picture, np.take(self._looks.palette, indices, axis=0, mode="clip"))
+        return self._looks.view_picture(indices, robot)
 
     def _arena(self, step: int, messages: Mapping[str, Message]) -> Any:
         poses = {robot: cast(Pose, messages[f"{robot}/pose"]) for robot in ROBOTS if f"{robot}/pose" in messages}

@@ -41,12 +41,17 @@ class Losses:
         self.delivered: dict[Name, int] = {}
         self._noted: dict[Name, int] = {}
 
-    def drop(self, counts: dict[Name, int]) -> None:
-        """Count messages that could not be written, and owe a note of them: not of notes, nor of what viewers are shown."""
-        for name, missed in counts.items():
-            if name != NOTES and not name[0].startswith(VIEWER_PREFIX):
-                for account in (self.all, self.dropped, self.owed):
-                    add_to(account, name, missed)
+    def drop(self, counts: dict[Name, int]) -> int:
+        """Count messages that could not be written, and owe a note of them: not of notes, nor of what viewers are shown.
+
+        Returns:
+            How many they are.
+        """
+        lost = {name: n for name, n in counts.items() if name != NOTES and not name[0].startswith(VIEWER_PREFIX)}
+        for name, missed in lost.items():
+            for account in (self.all, self.dropped, self.owed):
+                add_to(account, name, missed)
+        return sum(lost.values())
 
     def note(self, name: Name, missed: int) -> None:
         """Count messages that were lost before they came here, and of which a note is in the open chunk."""
@@ -90,10 +95,9 @@ class Losses:
             is_open: whether it could be created.
             error: of the disk.
         """
-        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
-            why = f"{error.filename or path}: {error.strerror or error}"
-        elif is_open:
-            why = f"{path}: the disk is full"
-        else:
+        is_full = error.errno in (errno.ENOSPC, errno.EDQUOT)
+        if is_full and not is_open:
             why = f"the disk is full: no room in {path.parent}"
+        else:
+            why = f"{path if is_open else path.parent}: {'the disk is full' if is_full else error.strerror or error}"
         return f"{why}; messages dropped so far: {sum(self.dropped.values())}"

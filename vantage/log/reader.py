@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import warnings
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field
@@ -14,11 +13,13 @@ from mcap.records import Channel
 from schemas import TOPICS, MalformedMessage, Message, decode
 from vantage.errors import UserError
 from vantage.log.file import LogFile, first_metadata
-from vantage.log.metadata import EXPORTED, GAPS, PART, REPEATED, RUN, VIEWER_PREFIX
+from vantage.log.metadata import EXPORTED, GAPS, NEXT, PART, REPEATED, RUN, VIEWER_PREFIX
+from vantage.log.names import part_path, run_and_number
 
-_PART_NAME = re.compile(r"(.+)_\d{3,}")
 MOST_LISTED = 20
 """Logs or games that an error lists."""
+_MOST_OPEN = 100
+"""Parts of one log that are open at once: the system limits open files."""
 
 
 class NoSuchLog(UserError):
@@ -68,14 +69,26 @@ class Log:
 
     Attributes:
         files: the parts, in order.
-        breaks: `file: what could not be read`, complete once the records have been gone through.
+        missing: parts that are not there, a line for each run of them.
     """
 
     files: list[LogFile] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
 
     @property
     def breaks(self) -> list[str]:
-        return [f"{file.path.name}: {text}" for file in self.files for text in file.breaks]
+        """What is missing, and `file: what could not be read`; complete once the records have been gone through."""
+        return self.missing + [f"{file.path.name}: {text}" for file in self.files for text in file.breaks]
+
+    @property
+    def recording(self) -> bool:
+        """Whether the log is being recorded now."""
+        return any(file.recording for file in self.files)
+
+    @property
+    def finished(self) -> bool:
+        """Whether every part was closed properly."""
+        return all(file.finished for file in self.files)
 
     @property
     def metadata(self) -> dict[str, str]:
@@ -88,7 +101,8 @@ class Log:
         total: dict[str, int] = {}
         for file in self.files:
             for name, count in file.metadata.get(GAPS, {}).items():
-                total[name] = total.get(name, 0) + int(count)
+                if count.isdecimal() and len(count) < 20:  # else another program wrote it
+                    total[name] = total.get(name, 0) + int(count)
         return total
 
     def records(self, topics: Collection[str] | None = None, viewer: bool = False, after: int = -1) -> Iterator[Record]:
@@ -111,6 +125,8 @@ class Log:
                     name = (channel.topic, channel.metadata.get("publisher", ""), channel.message_encoding != "")
                     names[id] = name
                 yield Record(name[0], name[1], sequence, log_time, publish_time, payload, name[2])
+            if len(self.files) > _MOST_OPEN:
+                file.close()
 
     def close(self) -> None:
         """Let go of the files."""
@@ -125,30 +141,44 @@ class Log:
 
 
 def find_logs(source: Path) -> list[list[Path]]:
-    """Return the logs below `source`, each as the list of its parts.
+    """Return the logs below `source`, each as the list of its parts, in order.
 
     Args:
         source: a file, or a folder that is searched with its subfolders. Files `RUN_000.mcap`, `RUN_001.mcap`, ... that were
-            written as parts are one log. In a folder, hidden files and copies for viewers (`vantage log export`) are no logs.
+            written as parts of one run are one log. In a folder, hidden files and copies for viewers (`vantage log export`) are
+            no logs.
 
     Raises:
         NoSuchLog: there is none.
     """
     if source.is_file():
         return [[source]]
-    logs: dict[Path, list[Path]] = {}
+    logs: dict[tuple[Path, str], list[tuple[int, Path]]] = {}
     for path in sorted(source.rglob("*.mcap")):
         if any(name.startswith(".") for name in path.relative_to(source).parts):
             continue
         metadata = first_metadata(path)
         if EXPORTED in metadata:
             continue
-        run = _PART_NAME.fullmatch(path.stem)
-        is_part = run is not None and PART in metadata
-        logs.setdefault(path.with_name(run[1]) if run and is_part else path, []).append(path)
+        run, number = _place_of(path, metadata)
+        logs.setdefault((run, metadata.get("started", "")), []).append((number, path))
     if not logs:
         raise NoSuchLog(f"{source}: no log (*.mcap) there")
-    return list(logs.values())
+    return [parts for numbered in logs.values() for parts in _apart(numbered)]
+
+
+def _place_of(path: Path, metadata: dict[str, str]) -> tuple[Path, int]:
+    """Return the run that a file belongs to, and its number in it: -1 for a file that was begun as a log in one file."""
+    place = run_and_number(path) if PART in metadata else None
+    return place or (path.with_name(path.stem), -1)
+
+
+def _apart(numbered: list[tuple[int, Path]]) -> list[list[Path]]:
+    """Return the files of one name as logs: a log in one file is a log of its own where there is a first part, too."""
+    numbered.sort()
+    if len(numbered) > 1 and numbered[0][0] == -1 and numbered[1][0] == 0:
+        return [[numbered[0][1]], [path for _, path in numbered[1:]]]
+    return [[path for _, path in numbered]]
 
 
 def parts_of(run: Path) -> list[Path]:
@@ -166,14 +196,22 @@ def parts_of(run: Path) -> list[Path]:
         return logs[0]
     if not run.is_file():
         raise NoSuchLog(f"{run}: there is no such log or folder")
-    part = _PART_NAME.fullmatch(run.stem)
-    if part is None or PART not in first_metadata(run):
+    metadata = first_metadata(run)
+    place = run_and_number(run)
+    if place is None or PART not in metadata:
         return [run]
-    named = re.compile(re.escape(part[1]) + r"_\d{3,}")
-    parts = sorted(path for path in run.parent.glob("*.mcap") if named.fullmatch(path.stem) and PART in first_metadata(path))
-    if parts[0] != run:
-        raise NoSuchLog(f"{run.name} is part {parts.index(run) + 1} of a log: name its first part, {parts[0]}")
-    return parts
+    parts = sorted(
+        (found[1], path)
+        for path in run.parent.glob("*.mcap")
+        if (found := run_and_number(path)) is not None
+        and found[0] == place[0]
+        and PART in (other := first_metadata(path))
+        and other.get("started") == metadata.get("started")
+    )
+    paths = [path for _, path in parts]
+    if paths[0] != run:
+        raise NoSuchLog(f"{run.name} is part {paths.index(run) + 1} of a log: name its first part, {paths[0]}")
+    return paths
 
 
 def _size(parts: list[Path]) -> str:
@@ -187,7 +225,32 @@ def open_log(*parts: Path) -> Log:
     Raises:
         OSError: a part cannot be opened.
     """
-    return Log([LogFile(path) for path in parts])
+    log = Log()
+    for path in parts:
+        file = LogFile(path)
+        log.files.append(file)
+        if len(parts) > _MOST_OPEN:
+            file.close()
+    log.missing = _missing(log.files)
+    return log
+
+
+def _missing(files: list[LogFile]) -> list[str]:
+    """Return the parts that lie neither in the log nor beside it."""
+    expected, gone = 0, []
+    for file in files:
+        run, number = _place_of(file.path, file.metadata.get(RUN, {}))
+        if number > expected and not part_path(run, expected).exists():
+            gone.append((run, expected, number - 1))
+        expected = max(number, 0) + 1
+        if file is files[-1] and number >= 0 and NEXT in file.metadata and not part_path(run, expected).exists():
+            gone.append((run, expected, expected))
+    return [
+        f"{part_path(run, first).name} is missing"
+        if first == last
+        else f"{part_path(run, first).name} to {part_path(run, last).name} are missing"
+        for run, first, last in gone
+    ]
 
 
 def read(source: Path, topics: Collection[str] | None = None, viewer: bool = False) -> Iterator[Record]:
@@ -201,7 +264,7 @@ def read(source: Path, topics: Collection[str] | None = None, viewer: bool = Fal
         viewer: also the channels for Foxglove and Lichtblick (keys `viewer/...`).
 
     Raises:
-        FileNotFoundError: there is no log.
+        NoSuchLog: there is none.
         OSError: a file cannot be opened.
     """
     for parts in find_logs(source):

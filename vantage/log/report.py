@@ -14,6 +14,12 @@ from rich.text import Text
 from schemas import Control, Episode, Gap, MalformedMessage, Pose
 from vantage.log.games import AboutGame, Games, Word
 from vantage.log.reader import Record, find_logs, open_log
+from vantage.log.words import counted
+from vantage.printable import printable
+
+_LONGEST_NAME = 200
+_LONGEST_VALUE = 300
+"""Letters of a topic, and of a piece of metadata, that are shown."""
 
 
 @dataclass
@@ -85,6 +91,7 @@ class LogReport:
         gaps: `key publisher` -> messages that the recorder noted as lost.
         breaks: what could not be read.
         finished: whether every part was closed properly.
+        recording: whether the log is being recorded now.
     """
 
     parts: list[Path]
@@ -94,6 +101,7 @@ class LogReport:
     gaps: dict[str, int] = field(default_factory=dict)
     breaks: list[str] = field(default_factory=list)
     finished: bool = True
+    recording: bool = False
     _heard: Games = field(default_factory=Games)
 
     @property
@@ -140,22 +148,28 @@ class LogReport:
         if self.games:
             shown.append(self._game_table())
         if self.gaps:
-            shown.append(Text("lost: " + ", ".join(f"{missed} of {name}" for name, missed in sorted(self.gaps.items()))))
-        shown += [Text(text, style="yellow") for text in self.breaks]
+            lost = ", ".join(f"{missed} of {name}" for name, missed in sorted(self.gaps.items()))
+            shown.append(_as_written("lost: " + lost, 10_000))
+        shown += [_as_written(text, 1000, "yellow") for text in self.breaks]
         return Group(*shown)
 
     def _summary(self) -> Table:
         table = Table.grid(padding=(0, 2))
         size = sum(path.stat().st_size for path in self.parts)
-        names = str(self.parts[0]) if len(self.parts) == 1 else f"{self.parts[0]} and {len(self.parts) - 1} more parts"
-        table.add_row("log", names + ("" if self.finished else " (not closed: `vantage log recover` makes it whole)"))
-        table.add_row(
-            "content", f"{self.count} messages, {self.duration:.1f} s, {size / 1e6:.2f} MB, {sum(self.gaps.values())} lost"
-        )
+        names = str(self.parts[0])
+        if len(self.parts) > 1:
+            names += f" and {counted(len(self.parts) - 1, 'more part')}"
+        if self.recording:
+            names += " (being recorded now)"
+        elif not self.finished:
+            names += " (not closed: `vantage log recover` makes it whole)"
+        table.add_row("log", _as_written(names, 5000))
+        messages = counted(self.count, "message")
+        table.add_row("content", f"{messages}, {self.duration:.1f} s, {size / 1e6:.2f} MB, {sum(self.gaps.values())} lost")
         for name, value in self.metadata.items():
-            if name == "started" and value.isdigit():
-                value = datetime.fromtimestamp(int(value) / 1e9).astimezone().isoformat(sep=" ", timespec="seconds")
-            table.add_row(name.replace("_", " "), value if len(value) < 300 else value[:300] + " ...")
+            if name == "started":
+                value = _as_time(value)
+            table.add_row(_as_written(name.replace("_", " "), _LONGEST_NAME), _as_written(value, _LONGEST_VALUE))
         return table
 
     def _topic_table(self) -> Table:
@@ -166,7 +180,8 @@ class LogReport:
             table.add_column(name, justify="right")
         for (key, publisher), topic in sorted(self.topics.items()):
             numbers = [f"{topic.count}", f"{topic.rate:.2f}" if topic.rate else "", f"{topic.size / 1e3:.1f}"]
-            table.add_row(key, publisher, *numbers, str(topic.missing or ""), str(topic.malformed or ""))
+            names = (_as_written(key, _LONGEST_NAME), _as_written(publisher, _LONGEST_NAME))
+            table.add_row(*names, *numbers, str(topic.missing or ""), str(topic.malformed or ""))
         return table
 
     def _game_table(self) -> Table:
@@ -176,7 +191,7 @@ class LogReport:
         for game in self.games:
             said = game.episode
             names = [str(said.episode), str(said.seed), game.driver, said.players.seeker, said.rules.layout]
-            table.add_row(*(_as_said(text) for text in (*names, str(game.steps), game.phase, said.outcome, said.reason)))
+            table.add_row(*(_as_written(text) for text in (*names, str(game.steps), game.phase, said.outcome, said.reason)))
         return table
 
 
@@ -184,7 +199,7 @@ def info(source: Path) -> list[LogReport]:
     """Go through the logs at `source` (a file or a folder) and return a report of each.
 
     Raises:
-        FileNotFoundError: no log there.
+        NoSuchLog: no log there.
         OSError: a file cannot be opened.
     """
     reports = []
@@ -194,11 +209,20 @@ def info(source: Path) -> list[LogReport]:
             for record in log.records():
                 report.add(record)
             report.breaks = log.breaks
-            report.finished = all(file.finished for file in log.files)
+            report.finished, report.recording = log.finished, log.recording
             reports.append(report)
     return reports
 
 
-def _as_said(text: str) -> Text:
-    """What others said, as it is: no markup, and no code that a terminal would obey."""
-    return Text("".join(letter for letter in text if letter.isprintable()))
+def _as_written(text: str, longest: int = 1000, style: str = "") -> Text:
+    """Return what others wrote as it is: no markup, and nothing that a terminal obeys."""
+    return Text(printable(text, longest), style)
+
+
+def _as_time(nanoseconds: str) -> str:
+    """Return a time as people read it; what is none, as it was written."""
+    try:
+        moment = datetime.fromtimestamp(int(nanoseconds) / 1e9)
+        return moment.astimezone().isoformat(sep=" ", timespec="seconds")
+    except (ValueError, OverflowError, OSError):
+        return nanoseconds

@@ -53,11 +53,11 @@ class Shown:
         """Log what holds all the time."""
         rerun, looks = self._rerun, self._looks
         self._log("arena", rerun.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-        classes = [
-            (number, name, tuple(int(part) for part in color))
-            for number, (name, color) in enumerate(zip(looks.palette_names, looks.palette, strict=True))
-        ]
         for robot in ROBOTS:
+            classes = [
+                (number, name, tuple(int(part) for part in color))
+                for number, (name, color) in enumerate(zip(looks.view_names(robot), looks.view_palettes[robot], strict=True))
+            ]
             self._log(f"views/{robot}", rerun.AnnotationContext(classes), static=True)
             color = looks.robot_colors[robot]
             body = rerun.Cylinders3D(
@@ -195,11 +195,11 @@ class Shown:
         if request is not None:
             self._asked.remove(request)
             risk = caught.reshape(request.path_count, len(request.horizons))
-            self._log("risk/safest-goal", rerun.Scalars([float(risk.mean(axis=1).min())]))
+            self._log("risk/lowest-of-all-goals", rerun.Scalars([float(risk.mean(axis=1).min())]))
             self._log("risk/mean-of-all-goals", rerun.Scalars([float(risk.mean())]))
         if reply.views:
             views = [np.frombuffer(view, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3) for view in reply.views]
-            self._log("predicted-views", rerun.Image(np.concatenate(views, axis=1)))
+            self._log("predicted-views", rerun.Image(self._looks.predicted_view(np.concatenate(views, axis=1))))
 
     def _words(self, key: str, message: Message) -> None:
         words = words_of(key, message)
@@ -242,14 +242,17 @@ def view_of(blueprint: Any, entities: set[str]) -> Any:
             rows.append(blueprint.Horizontal(*row))
     thoughts = [
         blueprint.Spatial2DView(origin=f"/{path}", name=name)
-        for path, name in (("value-map", "value map"), ("predicted-views", "predicted seeker views"))
+        for path, name in (
+            ("value-map", "danger of each goal"),
+            ("predicted-views", "predicted seeker views"),
+        )
         if path in entities
     ]
     if thoughts:
         rows.append(blueprint.Horizontal(*thoughts))
     below = [
         blueprint.TimeSeriesView(origin=f"/{path}", name=name)
-        for path, name in (("motion", "x and y, m"), ("risk", "probability to be caught"), ("commands", "primitives"))
+        for path, name in (("motion", "x and y, m"), ("risk", "danger: probability to be caught"), ("commands", "primitives"))
         if any(entity.startswith(path) for entity in entities)
     ]
     if "text" in entities:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from foxglove import messages as fox
@@ -28,6 +28,7 @@ from schemas import (
     Playback,
     Pose,
     PredictReply,
+    Robot,
     StateImage,
     Track,
     decode,
@@ -158,7 +159,8 @@ class Viewer:
 
     def _state_image(self, key: str, message: StateImage) -> list[tuple[str, Any]]:
         indices = np.frombuffer(message.data, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE)
-        return [(key, image_of(message, ARENA_FRAME, np.take(self.appearance.palette, indices, axis=0, mode="clip")))]
+        robot = cast(Robot, key.partition("/")[0])
+        return [(key, image_of(message, ARENA_FRAME, self.appearance.view_picture(indices, robot)))]
 
     def _layout(self, _key: str, message: Layout) -> list[tuple[str, Any]]:
         thin = 0.002
@@ -211,7 +213,7 @@ class Viewer:
                 cell_size=fox.Vector2(x=_GOAL_SPACING, y=_GOAL_SPACING),
                 row_stride=4 * GOALS_A_SIDE,
                 cell_stride=4,
-                fields=[fox.PackedElementField(name="value", offset=0, type=fox.PackedElementFieldNumericType.Float32)],
+                fields=[fox.PackedElementField(name="danger", offset=0, type=fox.PackedElementFieldNumericType.Float32)],
                 data=values.tobytes(),
             )
             shown.append((f"{key}/values", grid))
@@ -232,7 +234,8 @@ class Viewer:
         if not message.views:
             return []
         views = [np.frombuffer(view, np.uint8).reshape(STATE_IMAGE_SIZE, STATE_IMAGE_SIZE, 3) for view in message.views]
-        return [("predictor/views", image_of(message, ARENA_FRAME, np.concatenate(views, axis=1)))]
+        shown = self.appearance.predicted_view(np.concatenate(views, axis=1))
+        return [("predictor/views", image_of(message, ARENA_FRAME, shown))]
 
     def _text(self, key: str, message: Message) -> list[tuple[str, Any]]:
         words = words_of(key, message)

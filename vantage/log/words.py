@@ -35,7 +35,9 @@ def words_of(key: str, message: Message) -> Words | None:
             level = "warning" if message.state == "degraded" else "debug"
             return Words(level, message.service, f"{message.state} {message.reason}".rstrip())
         case Gap():
-            return Words("error", "recorder", f"{message.missed} messages of {message.key} from {message.publisher} lost")
+            return Words(
+                "error", "recorder", f"{counted(message.missed, 'message')} of {message.key} from {message.publisher} lost"
+            )
         case Control():
             return Words("info", "control", message.action + _wish(message))
         case Motion():

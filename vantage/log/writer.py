@@ -19,6 +19,7 @@ from vantage.log.names import part_path
 from vantage.log.part import FILE_MODE, FOLDER_MODE, ChunkLost, Part
 from vantage.log.routes import Route, Routes
 from vantage.log.sync_thread import SyncThread
+from vantage.log.words import counted
 
 if TYPE_CHECKING:
     from vantage.log.viewer import ViewerMessage
@@ -38,7 +39,7 @@ class LogWriter:
 
     Every part begins with the run's metadata and repeats the latched topics (on a channel marked `repeated`, which `read`
     skips when it reads the parts as one). Log times are made strictly increasing, by at most as many nanoseconds as messages
-    came in the same instant, so that the order of the log can be told from its times alone.
+    came in the same instant.
 
     Messages wait in memory until a chunk is full or `flush_period` has passed since the last flush; a write checks the clock,
     a writer that is not written to wants `flush` called. Each flush is followed by fdatasync in a thread of its own.
@@ -76,8 +77,8 @@ class LogWriter:
         Args:
             path: the file; with `split_bytes` or `split_seconds`, parts are named `NAME_000.mcap`, `NAME_001.mcap`, ...
             metadata: the first record of every part.
-            compression: of small messages; messages above 32 KiB (camera pictures) use `lz4` in chunks of their own, and are
-                stored as they are where that gains nothing; `none` holds for all.
+            compression: of small messages; those above 32 KiB (camera pictures) use `lz4` in chunks of their own, and are stored
+                as they are where that gains nothing; `none` holds for all.
             chunk_size: bytes of messages compressed together.
             split_bytes: begin a new part when one has this size.
             split_seconds: begin a new part after this time (of the log).
@@ -133,11 +134,6 @@ class LogWriter:
     def parts_begun(self) -> int:
         """How many files there are."""
         return self._part_number
-
-    @property
-    def size(self) -> int:
-        """Bytes of the present part that are in its file."""
-        return self._part.size
 
     @property
     def gaps(self) -> dict[Name, int]:
@@ -213,14 +209,14 @@ class LogWriter:
         if how := self._part.displaced:
             self._replace_displaced(how)
         failed_before, self._failed = self._failed, False
+        self._try_open()
         self._write_chunks(self._part)
-        if not self._failed:
-            self._try_open()
+        wrote = self._wrote  # messages; a note may fit where they do not
         if not self._failed:
             for (key, publisher), missed in self._losses.notes_due():
                 self._put_note(key, publisher, missed)
             self._write_chunks(self._part)
-        if self._wrote and not (self._failed or failed_before):
+        if wrote and not (self._failed or failed_before):
             self.error = None
         self._failed = self._wrote = False
         if self._sync and self._part.is_open and self._synced != (self._part, self._part.size):
@@ -326,8 +322,6 @@ class LogWriter:
             self._open(self._part)
         except OSError as error:
             self._fail(self._part, error)
-        else:
-            self._wrote = True
 
     def _put_note(self, key: str, publisher: str, missed: int, log_time: int = 0) -> None:
         self._last_time = log_time = max(log_time, self._last_time + 1)
@@ -350,8 +344,6 @@ class LogWriter:
             self._write_chunk(part, group)
 
     def _write_chunk(self, part: Part, group: str) -> None:
-        if not part.is_open:
-            self._try_open()  # makes the folder, too
         try:
             written = part.write_chunk(group)
         except ChunkLost as lost:
@@ -371,14 +363,13 @@ class LogWriter:
         if not self._keep_going:
             raise FileNotFoundError(errno.ENOENT, f"the file was {how} while it was being written", str(before.path))
         self._write_chunks(before)
-        count = before.message_count
+        lost = ""
         if how == "deleted":
-            self._losses.drop(before.counts)
+            lost = f" with {counted(self._losses.drop(before.counts), 'message')}"
             self._losses.part_lost()
         gaps = self._losses.take_delivered()
         self._begin(self._next_part())
-        lost = f": its {count} {'message is' if count == 1 else 'messages are'} lost" if how == "deleted" else ""
-        self.displaced = f"{before.path} was {how} while it was being written{lost}; the log goes on in {self._part.path.name}"
+        self.displaced = f"{before.path} was {how}{lost} while it was being written; the log goes on in {self._part.path.name}"
         if how == "moved":
             self._finish(before, gaps)
         else:
@@ -389,7 +380,6 @@ class LogWriter:
             self._fail(self._part, error)
 
     def _fail(self, part: Part, error: OSError) -> None:
-        """Keep the reason, or raise it."""
         self._failed = True
         self.error = self._losses.reason(part.path, part.is_open, error)
         if not self._keep_going:

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
-from collections.abc import Callable, Collection, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any, Protocol, Self, TypeVar
 
+import msgspec
 import torch
 from safetensors import SafetensorError
 from safetensors.torch import load as load_tensors
@@ -22,6 +23,8 @@ from vantage.networks.hazard_attention import HazardAttention, HazardAttentionSe
 from vantage.networks.vector_action import VectorAction, VectorActionSettings
 from vantage.networks.vpn import Vpn, VpnSettings
 from vantage.networks.vpt_tob import SelfPerspective, VptTob, VptTobSettings
+from vantage.output import complete
+from vantage.printable import printable
 
 
 class Network(Protocol):
@@ -49,6 +52,10 @@ ARCHITECTURES: dict[str, tuple[Callable[[Any], Any], type]] = {  # network, sett
 }
 
 
+_LARGEST_NUMBER = 4096
+"""Of a network's settings: a card that asks for more is not one of ours, and would fill the memory."""
+
+
 class UnusableWeights(UserError, ValueError):
     """The weights cannot be used; the text says why and what to do."""
 
@@ -68,6 +75,8 @@ class ModelCard:
         commit: source tree that trained.
         inputs: hashes of other weights that went in (the VPT-TOB whose predictions a VPN learnt from).
         notes: for people: what differs from the paper.
+        identity: hash of all that decides what the training came to, its seed included (`learning.training_run`); empty where
+            an earlier version wrote the card.
     """
 
     architecture: str
@@ -80,6 +89,7 @@ class ModelCard:
     commit: str = ""
     inputs: dict[str, str] = field(default_factory=dict)
     notes: list[str] = field(default_factory=list)
+    identity: str = ""
     version: int = CARD_VERSION
 
 
@@ -94,21 +104,20 @@ def card_path(path: Path) -> Path:
 
 
 def save(network: Network, path: Path, card: ModelCard) -> None:
-    """Write weights and card; a crash leaves the old pair or a pair that `load` refuses, never a wrong one."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    state = {name: tensor.detach().cpu().contiguous() for name, tensor in network.state_dict().items()}
-    data = save_tensors(state)
+    """Write weights and card; see `save_state`."""
     card.architecture, card.network = network.architecture, asdict(network.settings)
+    save_state(network.state_dict(), path, card)
+
+
+def save_state(state: Mapping[str, torch.Tensor], path: Path, card: ModelCard) -> None:
+    """Write the tensors of a network and the card that describes it.
+
+    All is on disk before the first file gets its name: a full disk leaves the old pair; a crash leaves the old pair, or one that
+    `load` refuses, never a wrong one.
+    """
+    data = save_tensors({name: tensor.detach().cpu().contiguous() for name, tensor in state.items()})
     card.sha256 = hashlib.sha256(data).hexdigest()
-    _replace(path, data)
-    _replace(card_path(path), (json.dumps(asdict(card), indent=2) + "\n").encode())
-    _replace(path.with_suffix(".md"), card_text(path.name, card).encode())
-
-
-def _replace(path: Path, data: bytes) -> None:
-    partial = path.with_name(path.name + ".partial")
-    partial.write_bytes(data)
-    os.replace(partial, path)
+    _write(path, card, data)
 
 
 def amend(path: Path, **training: Any) -> None:
@@ -119,8 +128,15 @@ def amend(path: Path, **training: Any) -> None:
     """
     card = read_card(path)
     card.training.update(training)
-    _replace(card_path(path), (json.dumps(asdict(card), indent=2) + "\n").encode())
-    _replace(path.with_suffix(".md"), card_text(path.name, card).encode())
+    _write(path, card)
+
+
+def _write(path: Path, card: ModelCard, data: bytes | None = None) -> None:
+    with ExitStack() as stack:
+        stack.enter_context(complete(path.with_suffix(".md"))).write_bytes(card_text(path.name, card).encode())
+        stack.enter_context(complete(card_path(path))).write_bytes((json.dumps(asdict(card), indent=2) + "\n").encode())
+        if data is not None:
+            stack.enter_context(complete(path)).write_bytes(data)
 
 
 def card_text(name: str, card: ModelCard) -> str:
@@ -147,15 +163,14 @@ def read_card(path: Path) -> ModelCard:
     """
     card = card_path(path)
     try:
-        content = json.loads(card.read_text())
-        known = {item.name for item in fields(ModelCard)}
-        return ModelCard(**{key: value for key, value in content.items() if key in known})
+        return msgspec.convert(json.loads(card.read_bytes()), ModelCard)
     except FileNotFoundError:
         raise UnusableWeights(f"the model card {card} is missing: weights are used only with their card") from None
-    except (OSError, ValueError, TypeError, AttributeError) as error:
-        raise UnusableWeights(
-            f"the model card {card} cannot be read ({error}): train again, or fetch weights and card again"
-        ) from None
+    except RecursionError:
+        reason = "its values are nested too deep"
+    except (OSError, ValueError, msgspec.MsgspecError) as error:
+        reason = _first_line(error)
+    raise UnusableWeights(f"the model card {card} cannot be read ({reason}): train again, or fetch weights and card again")
 
 
 def load(path: Path, kind: type[AnyNetwork]) -> tuple[AnyNetwork, ModelCard]:
@@ -182,21 +197,60 @@ def load_any(path: Path, architectures: Collection[str] = ARCHITECTURES) -> tupl
         raise UnusableWeights(f"the weights {path} cannot be read: {error}") from None
     card = read_card(path)
     if card.architecture not in architectures:
-        raise UnusableWeights(f"{path} holds a {card.architecture} network, wanted is {wanted}")
+        raise UnusableWeights(f"{path} holds a {printable(card.architecture, 40)} network, wanted is {wanted}")
     if hashlib.sha256(data).hexdigest() != card.sha256:
         raise UnusableWeights(f"{path} is not the file that its model card {card_path(path)} describes (sha256 differs)")
-    make, settings = ARCHITECTURES[card.architecture]
+    make, kind = ARCHITECTURES[card.architecture]
     try:
-        network = make(settings(**_tuples(card.network)))
-        network.load_state_dict(load_tensors(data))
-    except (SafetensorError, RuntimeError, TypeError, ValueError, KeyError) as error:
-        reason = str(error).splitlines()[0]
-        raise UnusableWeights(f"the weights {path} do not fit the network of their card ({reason})") from None
+        settings, tensors = _settings(card.network, kind), load_tensors(data)
+        _check_shapes(make, settings, tensors)
+        network = make(settings)
+        network.load_state_dict(tensors)
+    except _NOT_FITTING as error:
+        raise UnusableWeights(f"the weights {path} do not fit the network of their card ({_first_line(error)})") from None
+    for name, tensor in network.state_dict().items():
+        if not torch.isfinite(tensor).all():
+            raise UnusableWeights(
+                f"the weights {path} hold numbers that are not finite, in `{name}`: train again, or fetch weights and card again"
+            )
     return network.eval(), card
 
 
-def _tuples(settings: dict[str, Any]) -> dict[str, Any]:
-    return {name: tuple(value) if isinstance(value, list) else value for name, value in settings.items()}
+_NOT_FITTING = (
+    *(SafetensorError, msgspec.MsgspecError, RecursionError),
+    *(RuntimeError, TypeError, ValueError, LookupError, ArithmeticError, AssertionError),  # of torch, for settings of no network
+)
+
+
+def _settings(found: dict[str, Any], kind: type) -> Any:
+    """Return the settings of a network as its card has them."""
+    if unknown := found.keys() - {item.name for item in fields(kind)}:
+        raise ValueError(f"no such network has {', '.join(sorted(unknown))}")
+    if any(not 0 <= number <= _LARGEST_NUMBER for number in _numbers(found.values())):
+        raise ValueError(f"a number of its settings is not in 0..{_LARGEST_NUMBER}")
+    return msgspec.convert(found, kind)
+
+
+def _numbers(values: Any) -> Iterator[float]:
+    for value in values:
+        if isinstance(value, list):
+            yield from _numbers(value)
+        elif isinstance(value, int | float):
+            yield value
+
+
+def _check_shapes(make: Callable[[Any], Any], settings: Any, tensors: Mapping[str, torch.Tensor]) -> None:
+    """Compare the network with the file before any memory is taken for it."""
+    with torch.device("meta"):
+        expected = make(settings).state_dict()
+    for name, tensor in expected.items():
+        if name not in tensors or tensors[name].shape != tensor.shape:
+            raise ValueError(f"the file has no `{name}` of the shape {tuple(tensor.shape)}")
+
+
+def _first_line(error: BaseException) -> str:
+    lines = str(error).splitlines()
+    return printable(lines[0], 200) if lines else type(error).__name__
 
 
 def fast_device() -> torch.device:

@@ -84,16 +84,13 @@ def main(settings: Settings) -> int:
         closing.callback(recording.close)
         position = _beginning(settings, recording)
         stopping = closing.enter_context(_stop_on_signals())
-        try:
-            hosting = hosted(settings.folder, settings.arena, settings.start, settings.patience, console)
-            deployment, services = closing.enter_context(hosting)
-            sessions = closing.enter_context(
-                Sessions(recording.publishers, deployment.folder, settings.arena, services, settings.without)
-            )
-            _tell(recording, sessions, deployment.console_address())
-            _play(settings, recording, sessions, position, stopping)
-        except _Stopped:
-            pass
+        hosting = hosted(settings.folder, settings.arena, settings.start, settings.patience, console)
+        deployment, services = closing.enter_context(hosting)
+        sessions = closing.enter_context(
+            Sessions(recording.publishers, deployment.folder, settings.arena, services, settings.without)
+        )
+        _tell(recording, sessions, deployment.console_address())
+        _play(settings, recording, sessions, position, stopping)
     for text in recording.breaks:
         console.print(f"[yellow]{escape(text)}[/]", soft_wrap=True)
     return 2 if recording.breaks else 0
@@ -179,22 +176,20 @@ def _tell(recording: Recording, sessions: Sessions, address: str) -> None:
         console.print(f"watch in a browser: [bold]{escape(address)}[/]", soft_wrap=True)
 
 
-class _Stopped(BaseException):
-    """A signal came before the replay could end by itself."""
-
-
 class _Stopping:
     """What a signal does: before the playing, it interrupts; later it ends the playing."""
 
     def __init__(self) -> None:
         self._calls: list[Callable[[], None]] = []
+        self._interrupted = False
 
     def hand_over(self, *calls: Callable[[], None]) -> None:
         self._calls = list(calls)
 
     def handle(self, _number: int, _frame: FrameType | None) -> None:
-        if not self._calls:
-            raise _Stopped
+        if not self._calls and not self._interrupted:
+            self._interrupted = True
+            raise KeyboardInterrupt
         for call in self._calls:
             call()
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 from rich.console import Console
 
-from vantage.deployment import Deployment, configuration_of, programs_of
+from vantage.deployment import Deployment, configuration_of
+from vantage.process_table import programs_of
 from vantage.replay.trouble import ReplayError
 from vantage.watch import HealthWatch
 
@@ -37,7 +38,7 @@ def hosted(
         DeploymentError: the folder cannot be used.
     """
     deployment = Deployment(NAME, folder)
-    if deployment.is_running():
+    if deployment.is_supervised():
         check_arena(deployment, arena)
         yield deployment, list(deployment.programs)
         return

@@ -4,6 +4,7 @@ A core has no clock, no bus and no I/O: `step` turns one received event and the 
 decodes at the door, counts what was malformed, lost or unexpected, reports health once a second and stops on SIGTERM.
 """
 
+from vantage.service.condition import TOO_SLOW, bad_messages, load_text
 from vantage.service.core import (
     SECOND,
     Answer,
@@ -27,9 +28,11 @@ from vantage.service.in_process import run_in_process
 from vantage.service.join import StepJoin
 from vantage.service.process import BusSettings, run
 from vantage.service.runtime import Runtime, steady_clock
+from vantage.service.sender_clock import SenderClock
 
 __all__ = [
     "SECOND",
+    "TOO_SLOW",
     "Answer",
     "Answered",
     "Arrived",
@@ -48,10 +51,13 @@ __all__ = [
     "Refuse",
     "Runtime",
     "Send",
+    "SenderClock",
     "StepJoin",
     "Unexpected",
     "Woken",
     "Write",
+    "bad_messages",
+    "load_text",
     "run",
     "run_in_process",
     "steady_clock",

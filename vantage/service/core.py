@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Protocol
 
 from schemas import CALLS, TOPICS, Message
@@ -21,7 +21,8 @@ class Declaration:
     Attributes:
         inputs, outputs: short keys of the topic table.
         calls, serves: keys of the call table.
-        heeds: services whose coming and going the core wants to know (`Changed`); `a|b`: one of the two is enough.
+        heeds: services that this one needs, whose coming and going the core wants to know (`Changed`); `a|b`: one of the two.
+        watches: other participants whose coming and going it wants to know.
         audience: shows whatever there is: its inputs may lack a publisher in a deployment.
         raw: inputs are key expressions, and reach the core undecoded, as `vantage.bus.Sample` (the recorder).
     """
@@ -32,8 +33,14 @@ class Declaration:
     calls: tuple[str, ...] = ()
     serves: tuple[str, ...] = ()
     heeds: tuple[str, ...] = ()
+    watches: tuple[str, ...] = ()
     audience: bool = False
     raw: bool = False
+
+    @property
+    def participants(self) -> tuple[str, ...]:
+        """Everyone whose coming and going the core is told of."""
+        return (*(name for names in self.heeds for name in names.split("|")), *self.watches)
 
     def __post_init__(self) -> None:
         named = self.outputs if self.raw else self.inputs + self.outputs
@@ -44,10 +51,11 @@ class Declaration:
 
 @dataclass(slots=True)
 class Arrived:
-    """A message came in."""
+    """A message came in; `published`: when, ns by the sender's clock, 0 where that is unknown (see `SenderClock`)."""
 
     key: str
     message: Message
+    published: int = field(default=0, compare=False)
 
 
 @dataclass(slots=True)
@@ -71,7 +79,7 @@ class Answered:
 
 @dataclass(slots=True)
 class Changed:
-    """A heeded service came or went."""
+    """A participant that is heeded or watched came or went."""
 
     service: str
     alive: bool
@@ -127,7 +135,9 @@ class CannotStart(UserError):
 class Core(Protocol):
     """The behaviour of a service, without clock, bus or I/O.
 
-    It may have `trouble`, a text that makes its health degraded while it is not empty, and `close`, called at the end.
+    It may have `trouble`, a text that makes its health degraded while it is not empty; `close`, called at the end; and
+    `held_up(lag, now)`, called before the next event when the service did not run for `lag` ns: whatever it waits for had that
+    much less time to come.
     """
 
     @property

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -15,6 +16,7 @@ from vantage.errors import UserError, explain
 from vantage.service.core import Core
 from vantage.service.device import Device
 from vantage.service.runtime import Runtime
+from vantage.stopping import signal_on_parent_death
 
 logger = logging.getLogger("vantage")
 
@@ -42,13 +44,31 @@ def _stop_on_signal(runtime: Runtime) -> Iterator[None]:
             signal.signal(number, handler)
 
 
+def _follow_supervisor(name: str) -> bool:
+    """Make this process end with the supervisord that started it, if one did: two services of a name must not drive one robot.
+
+    Returns whether supervisord has ended already.
+    """
+    if os.environ.get("SUPERVISOR_PROCESS_NAME") != name:
+        return False
+    signal_on_parent_death(signal.SIGTERM)
+    try:
+        return b"supervisor" not in Path(f"/proc/{os.getppid()}/cmdline").read_bytes()
+    except OSError:
+        return sys.platform == "linux"
+
+
 def run(make_core: Callable[[], Core], name: str, settings: BusSettings, devices: Sequence[Device] = ()) -> int:
     """Run one service as a process on Zenoh until SIGTERM. Returns the exit code.
 
-    What is wrong at the start (missing weights, a taken name, an impossible layout) is said in one line.
+    Started by supervisord, it also ends when that does. What is wrong at the start (missing weights, a taken name, an impossible
+    layout) is printed as one line.
     """
     from vantage.bus.zenoh_bus import ZenohBus  # only a process on a real bus pays for loading Zenoh
 
+    if _follow_supervisor(name):
+        print(f"{name} cannot start: its supervisord has ended", file=sys.stderr)
+        return 1
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s", stream=sys.stderr)
     with ExitStack() as closing:
         try:

@@ -10,6 +10,8 @@ from typing import Any
 
 from schemas import TOPICS, Episode, Health, MalformedMessage, Message
 from vantage.bus import Alive, Bus, Lost, Reply, Request, Sample
+from vantage.bus.clock import MACHINE
+from vantage.printable import printable
 from vantage.service.condition import Condition
 from vantage.service.core import (
     SECOND,
@@ -32,14 +34,19 @@ from vantage.service.device import Captured, Device, DeviceThread, Write
 logger = logging.getLogger("vantage")
 
 HEALTH_PERIOD = SECOND
+LONGEST_WAIT = 0.1
+"""Seconds that the loop waits for an event at most: how late it comes back tells whether the machine is too slow."""
+HELD_UP = SECOND // 10
+"""ns by which the loop may come late without its core being told."""
+MOST_BEFORE_TIME = 100
+"""Events that are handled before a core is woken, at most: what came in time is heard before time is up."""
 LAST_WORDS = 1.0
 """Seconds that a raw service goes on with what has arrived before it was stopped."""
-_WALL_MINUS_STEADY = time.time_ns() - time.monotonic_ns()
 
 
 def steady_clock() -> int:
     """Return ns since the Unix epoch as it was when the process started: the clock that timers need never steps back."""
-    return time.monotonic_ns() + _WALL_MINUS_STEADY
+    return MACHINE.wall()
 
 
 @dataclass
@@ -60,13 +67,15 @@ class Runtime:
     _tokens: dict[int, tuple[str, int]] = field(default_factory=dict)
     _requests: dict[int, Request] = field(default_factory=dict)
     _next_health: int = 0
+    _due_back: int | None = None  # when the loop ought to be back at its start
     _stopping: bool = False
 
     def __post_init__(self) -> None:
         declaration = self.core.declaration
         self._raw = declaration.raw
+        self._held_up = getattr(self.core, "held_up", None)
         self._outputs = frozenset(declaration.outputs)
-        self._heeds = frozenset(name for names in declaration.heeds for name in names.split("|"))
+        self._heeds = frozenset(declaration.participants)
         self._devices = {device.name: device for device in self.devices}
         self._threads = [DeviceThread(device, self.bus.post, self.clock) for device in self.devices]
         self._condition = Condition(self.core, self.clock())
@@ -75,32 +84,47 @@ class Runtime:
             self.bus.subscribe(*declaration.inputs, raw=self._raw)
         for key in declaration.serves:
             self.bus.serve(key)
-        if declaration.heeds:
+        if self._heeds:
             self.bus.watch()
 
     def turn(self, timeout: float) -> bool:
         """Handle the next event, waiting at most `timeout` s for it. Returns whether there was one."""
         now = self.clock()
+        self._note_delay(now)
         if self.health and now >= self._next_health:
             self._next_health = now + HEALTH_PERIOD
             self.bus.publish(f"health/{self.core.declaration.name}", self.health_report("ok"))
         wake = self.core.wake_at()
         if wake is not None and wake <= now:
-            # A core that always wants to go on must not starve its inputs.
-            event = self.bus.receive(0.0)
-            if event is not None:
-                self._handle(event, now)
-            self._step(Woken(), now)
+            # A core that always wants to go on must not starve its inputs, nor one that was held up miss what came in time.
+            for _ in range(MOST_BEFORE_TIME):
+                if (event := self.bus.receive(0.0)) is None:
+                    break
+                self._handle(event, self.clock())
+            self._step(Woken(), self.clock())
+            self._due_back = self.clock()
             return True
         if wake is not None:
             timeout = min(timeout, (wake - now) / SECOND)
         if self.health:
             timeout = min(timeout, max(0.0, (self._next_health - now) / SECOND))
+        due = now + round(timeout * SECOND)
         event = self.bus.receive(timeout)
+        back = self.clock()
+        if self._held_up is None:
+            self._condition.woken(late=back - due, now=back)
+        self._due_back = min(due, back)
         if event is None:
             return False
-        self._handle(event, self.clock())
+        self._handle(event, back)
         return True
+
+    def _note_delay(self, now: int) -> None:
+        """Let the core know for how long it could not look: neither the machine nor its own work let it."""
+        due, self._due_back = self._due_back, None
+        if self._held_up is not None and due is not None and now - due > HELD_UP:
+            self._condition.woken(late=now - due, now=now)
+            self._held_up(now - due, now)
 
     def drain(self) -> bool:
         """Handle everything that waits, without waiting. Returns whether there was anything."""
@@ -121,7 +145,7 @@ class Runtime:
             thread.start()
         try:
             while not self._stopping:
-                self.turn(1.0)
+                self.turn(LONGEST_WAIT)
         finally:
             for thread in self._threads:
                 thread.stop()
@@ -173,20 +197,19 @@ class Runtime:
         try:
             message = sample.decode()
         except MalformedMessage as error:
-            condition.malformed(sample, error, now)
+            condition.malformed(sample.key, sample.publisher, error, now)
             return
         counts.received += 1
         topic = TOPICS.get(sample.key)
         if topic is not None and sample.publisher not in topic.publishers:
             # A stranger's episode with an absurd number would make us deaf to the real ones.
-            condition.unexpected += 1
-            condition.note(f"set aside: {sample.key} from {sample.publisher or 'a stranger'}, who may not publish it", now)
+            condition.set_aside(f"{sample.key} from {sample.publisher or 'a stranger'}, who may not publish it", now)
             return
         counts.last = now
         counts.publisher = sample.publisher
         if type(message) is Episode:
             condition.expects_flow(message.phase == "running" and not message.paused and message.rules.step_period > 0, now)
-        self._step(Arrived(sample.key, message), now)
+        self._step(Arrived(sample.key, message, sample.published), now, sample.publisher)
 
     def _handle_request(self, request: Request, now: int) -> None:
         counts = self._condition.counts_of(request.key)
@@ -194,14 +217,14 @@ class Runtime:
         try:
             message = request.decode()
         except MalformedMessage as error:
-            counts.malformed += 1
+            self._condition.malformed(request.key, request.caller, error, now)
             request.fail(str(error))
             return
         counts.received += 1
         counts.last = now
         token = request.token
         self._requests[token] = request
-        if not self._step(Asked(request.key, message, token), now) and token in self._requests:
+        if not self._step(Asked(request.key, message, token), now, request.caller) and token in self._requests:
             self._requests.pop(token).fail(
                 f"{self.core.declaration.name} could not handle this request: {self._condition.trouble}"
             )
@@ -220,23 +243,22 @@ class Runtime:
                 error = str(malformed)
         self._step(Answered(key, token, message, error), now)
 
-    def _step(self, received: Received, now: int) -> bool:
+    def _step(self, received: Received, now: int, publisher: str = "") -> bool:
         try:
             for send in self.core.step(received, now):
                 self._send(send)
         except Unexpected as unexpected:
-            self._condition.unexpected += 1
-            self._condition.note(f"set aside: {unexpected}", now)
+            self._condition.set_aside(f"{_described(received, publisher)}: {unexpected}", now)
             return False
         except Exception as error:  # a service never dies of a message
             if self._raw and isinstance(error, MalformedMessage) and type(received) is Sample:
-                self._condition.malformed(received, error, now)
+                self._condition.malformed(received.key, received.publisher, error, now)
                 return False
-            self._condition.failed += 1
-            self._condition.note(f"{type(error).__name__}: {error}", now)
+            described = _described(received, publisher)
+            self._condition.fail(f"{described}: {type(error).__name__}: {error}", now)
             if time.monotonic() - self._last_failure_logged > 1.0:
                 self._last_failure_logged = time.monotonic()
-                logger.exception("%s: handling %s failed", self.core.declaration.name, type(received).__name__)
+                logger.exception("%s: handling %s failed", self.core.declaration.name, printable(described))
             return False
         return True
 
@@ -257,3 +279,13 @@ class Runtime:
             request = self._requests.pop(send.token, None)
             if request is not None:
                 request.fail(send.reason)
+
+
+def _described(received: Received, publisher: str) -> str:
+    """Return what an event is, in the words of a log: the key and who published it."""
+    if isinstance(received, Sample | Lost):
+        publisher = received.publisher
+    key = getattr(received, "key", "")
+    if key:
+        return f"{key} from {publisher}" if publisher else key
+    return f"device {received.device}" if isinstance(received, Captured) else type(received).__name__.lower()

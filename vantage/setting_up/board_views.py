@@ -93,7 +93,8 @@ class BoardViews:
         wishes = [f"the board in {place} of the picture" for place, seen in zip(_PLACES, self._places(), strict=True) if not seen]
         wishes += [f"the board tilted, {way}" for way, count in zip(_TILTS, self._tilts(), strict=True) if count < TILTED_VIEWS]
         if len(self.views) < self.wanted:
-            wishes.append(f"{self.wanted - len(self.views)} more views")
+            more = self.wanted - len(self.views)
+            wishes.append(f"{more} more view{'s' * (more != 1)}")
         return wishes
 
     def _places(self) -> list[bool]:

@@ -9,12 +9,12 @@ from typing import Final
 
 import msgspec
 
+from vantage.output import write_complete
 from vantage.setting_up.board_views import BoardView, BoardViews
 from vantage.setting_up.pictures import Source
 from vantage.setting_up.trouble import TableTrouble
 from vantage.tracking.calibration import CalibrationFailed
 from vantage.tracking.lens import FEWEST_VIEWS, Lens, LensResult, calibrate_lens
-from vantage.tracking.table import write_file
 
 Tell = Callable[[BoardViews, int], None]
 """Called after each picture with the views kept and the number of pictures looked at."""
@@ -70,12 +70,8 @@ def measure_lens(views: BoardViews, looked: str) -> tuple[LensResult, list[Board
 
 
 def save_lens(lens: Lens, path: Path) -> None:
-    """Write a lens as JSON.
-
-    Raises:
-        TableTrouble: it cannot be written.
-    """
-    write_file(path, msgspec.json.format(msgspec.json.encode(lens), indent=2) + b"\n", TableTrouble)
+    """Write a lens as JSON, in one step."""
+    write_complete(path, msgspec.json.format(msgspec.json.encode(lens), indent=2) + b"\n")
 
 
 def load_lens(path: Path) -> Lens:
@@ -92,7 +88,7 @@ def load_lens(path: Path) -> Lens:
         raise TableTrouble(
             f"cannot read the lens {path}: {error.strerror}; measure it first: `vantage table calibrate lens --to {path}`"
         ) from error
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise TableTrouble(f"{path} is not the file of a lens: {error}; see `vantage table calibrate lens`") from error
 
 

@@ -1,7 +1,12 @@
-"""Listening to a running table for some seconds: who is there, at what rate, how old what arrives is."""
+"""Listening to a running table for some seconds: who is there, at what rate, how old what arrives is.
+
+Ages are told without comparing clocks: a participant's clock is known from what it published and when that arrived; stamps are of
+its clock, too.
+"""
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -11,7 +16,9 @@ import numpy.typing as npt
 
 from schemas import ROBOTS, TOPICS, ColorImage, DepthImage, Health, Layout, MalformedMessage, Message, Track
 from vantage.bus import Bus, Sample
+from vantage.cores import available_cores
 from vantage.deployment import Process
+from vantage.service import TOO_SLOW
 from vantage.setting_up.verdict import Verdict
 from vantage.watch import Verdict as ServiceVerdict
 from vantage.watch import judge
@@ -26,6 +33,10 @@ LOWEST_SHARE = 0.5
 """Of a topic's expected rate."""
 GREATEST_LATENCY = 0.1
 """s from a capture to its track's arrival, median; robots drive by it."""
+GREATEST_DELAY = 0.25
+"""s by which this command may be woken late; services are then, too, and robots are driven by them."""
+GREATEST_LOAD = 2.0
+"""Processes that want a core, for each that there is."""
 LOWEST_SEEN = 0.9
 """Share of a robot's tracks in which its tag was seen, not predicted."""
 _SILENT_TRACK = "is the tracker well, and the robot on the table with its tag in the overhead camera's sight?"
@@ -36,10 +47,11 @@ _LOSE_FIRST = 0.3
 
 @dataclass
 class Stream:
-    """What came of one topic: arrivals, s, and ages on arrival, s; its last message."""
+    """What came of one topic: arrivals, s; own clock less the stamp on arrival, ns; its publisher and its last message."""
 
     arrivals: list[float] = field(default_factory=list)
-    ages: list[float] = field(default_factory=list)
+    behind: list[int] = field(default_factory=list)
+    publisher: str = ""
     last: Message | None = None
 
 
@@ -50,16 +62,31 @@ class Heard:
     Attributes:
         seconds: for how long.
         streams: by topic.
-        ended: ns since the Unix epoch.
-        health: last health of each service.
+        ended: ns, own clock.
+        clocks: own clock less that of each participant, ns.
+        health: last health of each service, and when it came, s after the beginning on the listener's own clock.
         seen: for each robot, whether each track was seen (True) or predicted.
+        late: s by which this command was woken late, at worst.
+        load: processes that wanted a core; cores: that there are.
     """
 
     seconds: float = 0.0
     streams: dict[str, Stream] = field(default_factory=dict)
     ended: int = 0
-    health: dict[str, Health] = field(default_factory=dict)
+    clocks: dict[str, int] = field(default_factory=dict)
+    health: dict[str, tuple[Health, float]] = field(default_factory=dict)
     seen: dict[str, list[bool]] = field(default_factory=lambda: {robot: [] for robot in ROBOTS})
+    late: float = 0.0
+    load: float = 0.0
+    cores: int = 1
+
+    def age(self, message: Message, publisher: str) -> float:
+        """Return the age of a message at the end, s."""
+        return max(0.0, (self.ended - message.stamp - self.clocks.get(publisher, 0)) / 1e9)
+
+    def ages(self, stream: Stream) -> list[float]:
+        """Return how old the messages of a topic were on arrival, s."""
+        return [max(0.0, (behind - self.clocks.get(stream.publisher, 0)) / 1e9) for behind in stream.behind]
 
     def last_picture(self, key: str) -> Picture | None:
         """Return the last picture of a topic, uint8 [H, W, 3] RGB; None where none came but the one of before, which is kept."""
@@ -82,25 +109,28 @@ class Heard:
             return None
         shown = np.frombuffer(color.last.data, np.uint8).reshape(color.last.height, color.last.width, 3)
         far = np.frombuffer(depth.last.data, "<u2").reshape(depth.last.height, depth.last.width)
-        return shown, far.astype(np.uint16), max(0.0, (self.ended - color.last.stamp) / 1e9)
+        return shown, far.astype(np.uint16), self.age(color.last, color.publisher)
 
 
-def listen(bus: Bus, seconds: float, tell: Callable[[float], None], clock: Callable[[], int] = time.time_ns) -> Heard:
+def listen(bus: Bus, seconds: float, tell: Callable[[float], None], clock: Callable[[], int] = time.monotonic_ns) -> Heard:
     """Take in what is said on a bus.
 
     Args:
         tell: called with the seconds that have passed.
-        clock: ns since the Unix epoch, the one that stamps are of.
+        clock: ns.
     """
     bus.subscribe(*LISTENED)
     heard = Heard()
     began = time.monotonic()
     while (passed := time.monotonic() - began) < seconds + _LOSE_FIRST:
         tell(passed)
-        event = bus.receive(min(0.1, seconds + _LOSE_FIRST - passed))
+        wait = min(0.1, seconds + _LOSE_FIRST - passed)
+        event = bus.receive(wait)
+        heard.late = max(heard.late, time.monotonic() - began - passed - wait)
         if isinstance(event, Sample):
             take(heard, event, passed, clock())
     heard.seconds, heard.ended = seconds, clock()
+    heard.load, heard.cores = os.getloadavg()[0], available_cores()
     return heard
 
 
@@ -113,14 +143,15 @@ def take(heard: Heard, sample: Sample, passed: float, now: int) -> None:
         message = sample.decode()
     except MalformedMessage:
         return
-    age = max(0.0, (now - message.stamp) / 1e9)
+    offset = now - sample.published
+    heard.clocks[sample.publisher] = min(heard.clocks.get(sample.publisher, offset), offset)
     if isinstance(message, Health):
-        heard.health[message.service] = message
+        heard.health[message.service] = message, passed
     stream = heard.streams.setdefault(sample.key, Stream())
-    stream.last = message
+    stream.last, stream.publisher = message, sample.publisher
     if passed >= _LOSE_FIRST:
         stream.arrivals.append(passed)
-        stream.ages.append(age)
+        stream.behind.append(now - message.stamp)
         if isinstance(message, Track):
             heard.seen[sample.key.partition("/")[0]].append(message.seen)
 
@@ -133,11 +164,10 @@ def judge_heard(heard: Heard, deployment: str, processes: list[Process], obstacl
         processes: of the deployment.
         obstacles: boxes that the table ought to have; None: unknown.
     """
-    verdicts = []
+    verdicts = [_machine(heard)]
     for process in processes:
-        health = heard.health.get(process.name)
-        age = 0.0 if health is None else (heard.ended - health.stamp) / 1e9
-        verdicts.append(_service(judge(process, health, age), deployment))
+        health, arrived = heard.health.get(process.name, (None, 0.0))
+        verdicts.append(_service(judge(process, health, heard.seconds + _LOSE_FIRST - arrived), deployment))
     verdicts += [_rate(heard, key) for key in sorted(heard.streams) if _is_stream(key)]
     for robot in ROBOTS:
         verdicts += _track(heard, robot)
@@ -145,8 +175,21 @@ def judge_heard(heard: Heard, deployment: str, processes: list[Process], obstacl
     if isinstance(layout, Layout) and obstacles is not None:
         found = len(layout.obstacles)
         remedy = f"the table's file has {obstacles}: are all tags in the overhead camera's sight?" if found != obstacles else ""
-        verdicts.append(Verdict("layout", f"{found} boxes", remedy))
+        verdicts.append(Verdict("layout", f"{found} box{'es' * (found != 1)}", remedy))
     return verdicts
+
+
+def _machine(heard: Heard) -> Verdict:
+    """Judge whether the machine keeps up: on one that does not, robots and cameras look as if they were broken."""
+    cores = f"{heard.cores} core{'s' * (heard.cores != 1)}"
+    figures = f"load {heard.load:.1f} on {cores}, this command woken {1000 * heard.late:.0f} ms late"
+    slow = sorted(name for name, (health, _) in heard.health.items() if TOO_SLOW in health.reason)
+    if slow:
+        figures += f", too slow for {', '.join(slow)}"
+    busy = bool(slow) or heard.late > GREATEST_DELAY or heard.load > GREATEST_LOAD * heard.cores
+    return Verdict(
+        "machine", figures, "this machine is too slow: stop other programs, or take one with more cores" if busy else ""
+    )
 
 
 def _service(verdict: ServiceVerdict, deployment: str) -> Verdict:
@@ -177,9 +220,10 @@ def _track(heard: Heard, robot: str) -> list[Verdict]:
     stream = heard.streams.get(f"{robot}/track")
     if stream is None:
         return [Verdict(f"{robot}/track", "nothing heard", _SILENT_TRACK)]
-    if not stream.ages:
+    ages = heard.ages(stream)
+    if not ages:
         return []  # its rate says so
-    middle, late = (1000.0 * float(np.percentile(stream.ages, share)) for share in (50, 95))
+    middle, late = (1000.0 * float(np.percentile(ages, share)) for share in (50, 95))
     share = float(np.mean(heard.seen[robot]))
     return [
         Verdict(

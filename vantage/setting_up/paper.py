@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterable, Sequence
-from pathlib import Path
 from typing import Final, Literal
 
 import numpy as np
@@ -78,8 +78,10 @@ class Page:
         self._axes.text(x, y, text, fontsize=size / _POINT, ha=align, va="baseline", linespacing=1.3)
 
 
-def write_pdf(path: Path, title: str, pages: Sequence[Page]) -> None:
-    """Write pages into one PDF, with nothing in it that differs from run to run."""
-    with PdfPages(path, metadata={"Title": title, "Creator": "vantage table print", "CreationDate": None}) as document:
+def pdf(title: str, pages: Sequence[Page]) -> bytes:
+    """Return pages as one PDF, with nothing in it that differs from run to run."""
+    content = io.BytesIO()
+    with PdfPages(content, metadata={"Title": title, "Creator": "vantage table print", "CreationDate": None}) as document:
         for page in pages:
             document.savefig(page.figure)
+    return content.getvalue()

@@ -1,4 +1,7 @@
-"""Where pictures for setting up come from: a camera, a picture, a folder of pictures or a video. RGB throughout."""
+"""Where pictures for setting up come from: a camera, a picture, a folder of pictures or a video. RGB throughout.
+
+Files are read as the sensor took them, whatever turn their metadata ask for (`vantage.tracking.picture_file`).
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,9 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vantage.output import write_complete
 from vantage.setting_up.trouble import TableTrouble
+from vantage.tracking.picture_file import open_video, read_pixels
 from vantage.tracking.video_capture import FOURCC, RATE, CameraMode, UnusableCamera, open_camera
 
 Picture = npt.NDArray[np.uint8]
@@ -73,23 +78,25 @@ def read_picture(path: Path) -> Picture:
     """
     if not path.is_file():
         raise TableTrouble(f"there is no picture {path}")
-    picture = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    picture = read_pixels(path)
     if picture is None:
         raise TableTrouble(f"{path} cannot be read as a picture: give a PNG or JPEG file")
-    return np.ascontiguousarray(picture[..., ::-1], dtype=np.uint8)
+    return picture
 
 
 def write_picture(path: Path, picture: Picture) -> None:
-    """Write uint8 [H, W, 3] RGB as PNG or JPEG, by the name's ending; folders are made.
+    """Write uint8 [H, W, 3] RGB as PNG or JPEG, by the name's ending, in one step; folders are made.
 
     Raises:
-        TableTrouble: it cannot be written there.
+        TableTrouble: the name is not that of a picture.
+        OSError: it cannot be written there.
     """
     if path.suffix.lower() not in PICTURES:
         raise TableTrouble(f"{path} does not name a picture: end it in .png or .jpg")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    if not cv2.imwrite(str(path), np.ascontiguousarray(picture[..., ::-1])):
-        raise TableTrouble(f"cannot write {path}: is the folder yours?")
+    encoded, content = cv2.imencode(path.suffix, np.ascontiguousarray(picture[..., ::-1]))
+    if not encoded:
+        raise TableTrouble(f"OpenCV does not write {path.suffix} pictures here: end {path} in .png or .jpg")
+    write_complete(path, content.tobytes())
 
 
 @contextmanager
@@ -118,7 +125,7 @@ def open_source(source: str, width: int, height: int, rate: float = RATE, fourcc
             raise TableTrouble(f"{path} holds no picture: put PNG or JPEG files there (it looks for {', '.join(PICTURES)})")
         yield Source(str(path), False, len(files), (View(file.name, read_picture(file)) for file in files))
     elif path.suffix.lower() in VIDEOS and path.is_file():
-        capture = cv2.VideoCapture(str(path))
+        capture = open_video(path)
         try:
             if not capture.isOpened():
                 raise TableTrouble(f"{path} cannot be read as a video: record it as MJPEG or MP4")

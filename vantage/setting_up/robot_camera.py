@@ -15,6 +15,7 @@ import numpy.typing as npt
 
 from vantage.setting_up.trouble import TableTrouble
 from vantage.tracking.colors import ColorCorrection
+from vantage.tracking.picture_file import read_arrays
 from vantage.tracking.realsense import load_library, open_realsense, stop_realsense
 from vantage.tracking.rgbd import RgbdCalibration, default_rgbd, load_rgbd, save_rgbd
 from vantage.tracking.rgbd_lens import Lens, pixel_rays
@@ -120,16 +121,12 @@ def read_depth(path: Path) -> Depths:
     """Read a recorded depth picture: `*.npz` with an array `depth`, or a 16-bit PNG. Returns uint16 [H, W] counts.
 
     Raises:
-        TableTrouble: there is none.
+        TableTrouble, UnreadableArrays: there is none.
     """
     if not path.is_file():
         raise TableTrouble(f"there is no depth picture {path}: give realsense, realsense:SERIAL, a *.npz or a 16-bit *.png")
     if path.suffix == ".npz":
-        try:
-            with np.load(path) as arrays:
-                depth = arrays["depth"]
-        except (OSError, ValueError, KeyError) as error:
-            raise TableTrouble(f"{path} does not hold the array depth: {error}") from error
+        depth: npt.NDArray[Any] | None = read_arrays(path, "depth")[0]
     else:
         depth = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if depth is None or depth.ndim != 2 or depth.dtype != np.uint16:

@@ -18,7 +18,7 @@ class Camera:
     """Where pictures come from."""
 
     source: str
-    """A camera (0, 1, /dev/video0), a picture, a folder of pictures or a video."""
+    """A camera (0, 1, /dev/video0), a picture, a folder of pictures or a video. A turn that EXIF asks for is not made."""
     width: int = 1280
     """Pixels asked of a camera: the resolution that the tracker will use."""
     height: int = 720
@@ -66,7 +66,7 @@ class CalibrateLens(Camera):
     """
 
     to: Path = Path("lens.json")
-    """File for the lens; a picture of where the board was seen is written beside it."""
+    """File for the lens (a former one is kept under a dated name); a picture of where the board was seen is written beside it."""
     seconds: float = 180.0
     """A camera is looked at no longer than this."""
 
@@ -87,7 +87,8 @@ class CalibrateArena(Camera):
     lens: Path = Path("lens.json")
     """What `vantage table calibrate lens` wrote."""
     to: Path = Path("overhead.json")
-    """File for the calibration, which the tracker reads; an annotated picture is written beside it."""
+    """File for the calibration, which the tracker reads (a former one is kept, dated); an annotated picture is written
+    beside it."""
 
 
 @dataclass(frozen=True)

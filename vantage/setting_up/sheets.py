@@ -9,7 +9,9 @@ from pathlib import Path
 
 import cv2
 
-from vantage.setting_up.paper import MARGIN, Page, Paper, write_pdf
+from vantage.output import write_complete
+from vantage.setting_up.former import keep_former
+from vantage.setting_up.paper import MARGIN, Page, Paper, pdf
 from vantage.setting_up.trouble import TableTrouble
 from vantage.tracking.lens import BoardDescription, charuco_board
 from vantage.tracking.table import TAG_CELLS, Table
@@ -194,11 +196,12 @@ def ruler_page(paper: Paper) -> Page:
     return page
 
 
-def write_sheets(folder: Path, table: Table, paper: Paper) -> list[tuple[Path, int]]:
-    """Write every sheet of a table into a folder, made if missing. Returns each file with its number of pages.
+def write_sheets(folder: Path, table: Table, paper: Paper) -> list[tuple[Path, int, str]]:
+    """Write every sheet of a table into a folder, made if missing. Returns each file with its number of pages, and what is kept
+    of a former one (`keep_former`).
 
     Raises:
-        TableTrouble: something of the table cannot be printed, or the folder cannot be written.
+        TableTrouble: something of the table cannot be printed.
     """
     documents = {
         "ruler": ("a ruler that checks the printer", [ruler_page(paper)]),
@@ -208,14 +211,12 @@ def write_sheets(folder: Path, table: Table, paper: Paper) -> list[tuple[Path, i
         "board": ("ChArUco board for the lens", [board_page(BoardDescription(), paper)]),
     }
     written = []
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, (title, pages) in documents.items():
-            if pages:
-                write_pdf(folder / f"{name}.pdf", f"Vantage: {title}", pages)
-                written.append((folder / f"{name}.pdf", len(pages)))
-    except OSError as error:
-        raise TableTrouble(f"cannot write {error.filename}: {error.strerror}; choose another folder with --to") from error
+    for name, (title, pages) in documents.items():
+        if pages:
+            content, file = pdf(f"Vantage: {title}", pages), folder / f"{name}.pdf"
+            kept = keep_former(file, content)
+            write_complete(file, content)
+            written.append((file, len(pages), kept))
     return written
 
 

@@ -11,10 +11,11 @@ import msgspec
 import numpy as np
 import numpy.typing as npt
 
+from vantage.output import write_complete
 from vantage.tracking.errors import CalibrationFailed, UnusableCalibration
 from vantage.tracking.lens import GREATEST_LENS_RESIDUAL, BoardDescription, Lens, LensResult, calibrate_lens
 from vantage.tracking.overhead_camera import Calibration, OverheadCamera
-from vantage.tracking.table import MAXIMUM_FILE_SIZE, Table, write_file
+from vantage.tracking.table import MAXIMUM_FILE_SIZE, Table
 from vantage.tracking.tag_pose import mounted_corners
 from vantage.tracking.tags import TagFinder, distinct
 
@@ -85,12 +86,8 @@ def _impossible(calibration: Calibration) -> str:
 
 
 def save_calibration(calibration: Calibration, path: Path) -> None:
-    """Write a calibration, replacing the file at once.
-
-    Raises:
-        UnusableCalibration: cannot be written.
-    """
-    write_file(path, msgspec.json.format(msgspec.json.encode(calibration), indent=2) + b"\n", UnusableCalibration)
+    """Write a calibration, replacing the file at once."""
+    write_complete(path, msgspec.json.format(msgspec.json.encode(calibration), indent=2) + b"\n")
 
 
 def calibrate_arena(picture: Picture, table: Table, lens: Lens, date: datetime.date, made_with: str = "") -> Calibration:

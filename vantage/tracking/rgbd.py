@@ -21,10 +21,11 @@ import numpy.typing as npt
 
 from schemas import Intrinsics
 from vantage.errors import UserError
+from vantage.output import write_complete
 from vantage.tracking.colors import ColorCorrection
 from vantage.tracking.rgbd_kernels import BLOCK, find_places, gather, sort_into_cells
 from vantage.tracking.rgbd_lens import Lens, lens_of, pixel_rays, project
-from vantage.tracking.table import write_file
+from vantage.tracking.table import MAXIMUM_FILE_SIZE
 from vantage.world.arena import MOUNT_HEIGHT
 
 Bytes = npt.NDArray[np.uint8]
@@ -89,10 +90,12 @@ def default_rgbd() -> RgbdCalibration:
 def load_rgbd(path: Path) -> RgbdCalibration:
     """Read and check a calibration. Raises UnusableRgbdCalibration."""
     try:
+        if path.stat().st_size > MAXIMUM_FILE_SIZE:
+            raise UnusableRgbdCalibration(f"{path} is not a camera's calibration: it has more than {MAXIMUM_FILE_SIZE} bytes")
         calibration = msgspec.json.decode(path.read_bytes(), type=RgbdCalibration)
     except OSError as error:
         raise UnusableRgbdCalibration(f"{path}: {error.strerror}; calibrate the camera (`vantage table calibrate`)") from None
-    except msgspec.DecodeError as error:
+    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
         raise UnusableRgbdCalibration(f"{path}: {error}; correct it or calibrate the camera again") from None
     try:
         check_rgbd(calibration)
@@ -122,12 +125,8 @@ def check_rgbd(calibration: RgbdCalibration) -> None:
 
 
 def save_rgbd(calibration: RgbdCalibration, path: Path) -> None:
-    """Write a calibration as JSON, replacing the file at once.
-
-    Raises:
-        UnusableRgbdCalibration: it cannot be written.
-    """
-    write_file(path, msgspec.json.format(msgspec.json.encode(calibration), indent=2) + b"\n", UnusableRgbdCalibration)
+    """Write a calibration as JSON, replacing the file at once."""
+    write_complete(path, msgspec.json.format(msgspec.json.encode(calibration), indent=2) + b"\n")
 
 
 def published_intrinsics(calibration: RgbdCalibration, width: int, height: int) -> Intrinsics:

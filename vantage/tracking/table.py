@@ -13,6 +13,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta
 
+from vantage.output import write_complete
 from vantage.tracking.errors import UnusableTable
 from vantage.world.arena import ARENA_SIZE, BOX_HEIGHT
 
@@ -147,22 +148,7 @@ def save_table(table: Table, path: Path) -> None:
     """Write a table's description, replacing the file at once.
 
     Raises:
-        UnusableTable: not usable, or cannot be written.
+        UnusableTable: it is not usable.
     """
     check_table(table)
-    write_file(path, msgspec.json.format(msgspec.json.encode(table), indent=2) + b"\n", UnusableTable)
-
-
-def write_file(path: Path, content: bytes, error_type: type[Exception]) -> None:
-    """Write a file beside its place and move it there, so that nobody reads half of it.
-
-    Raises:
-        error_type: it cannot be written.
-    """
-    part = path.with_name(path.name + ".part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part.write_bytes(content)
-        part.replace(path)
-    except OSError as error:
-        raise error_type(f"cannot write {path}: {error.strerror}") from error
+    write_complete(path, msgspec.json.format(msgspec.json.encode(table), indent=2) + b"\n")

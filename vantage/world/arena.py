@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from schemas import PRIMITIVES
+from schemas import PRIMITIVES, Robot
 
 ARENA_SIZE: Final = 1.2
 """Side of the square arena, m (paper, Experimental Setup)."""
@@ -57,6 +57,12 @@ GOALS: Final[npt.NDArray[np.float64]] = np.stack(
 GOALS.setflags(write=False)
 
 
+def goal_name(goal: int) -> str:
+    """Return what people call a goal: by its place, "goal (0.30, 1.10) m"."""
+    x, y = GOALS[goal]
+    return f"goal ({x:.2f}, {y:.2f}) m"
+
+
 def _heading_cosines() -> npt.NDArray[np.float64]:
     """Built from one quarter turn, so that opposite and perpendicular headings are exact."""
     quarter = [math.cos(i * TURN) for i in range(HEADINGS // 4)]
@@ -76,3 +82,5 @@ WALL_COLOR: Final = (206, 204, 200)
 BOX_COLOR: Final = (168, 160, 150)
 BACKGROUND_COLOR: Final = (48, 50, 54)
 """As the cameras see them, RGB. Only robots are saturated; everything else has channels within 18 of each other."""
+ROBOT_COLORS: Final[dict[Robot, tuple[int, int, int]]] = {"hider": HIDER_COLOR, "seeker": SEEKER_COLOR}
+"""RGB of each robot, in camera pictures and in every picture for people."""

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from schemas import Box, Layout
 from vantage.compiled import kernel
+from vantage.errors import UserError
 from vantage.world.arena import ARENA_SIZE, BOX_HEIGHT, ROBOT_RADIUS
 from vantage.world.motion import box_distance, is_free
 from vantage.world.noise import LAYOUT_STREAM, uniform
@@ -32,7 +33,7 @@ MAXIMUM_FILE_SIZE = 1_000_000
 Floats = npt.NDArray[np.float64]
 
 
-class ImpossibleLayout(ValueError):
+class ImpossibleLayout(UserError, ValueError):
     """A layout nobody can play in; the text says what is wrong and what to do."""
 
 
@@ -169,6 +170,8 @@ def read_layout(path: Path) -> tuple[Box, ...]:
             file = msgspec.json.decode(data, type=LayoutFile)
     except msgspec.ValidationError as error:
         raise ImpossibleLayout(f"layout file {path} does not describe boxes: {error}; correct that field") from error
+    except RecursionError as error:
+        raise ImpossibleLayout(f"layout file {path} does not describe boxes: it is nested too deep") from error
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         kind = "MessagePack" if path.suffix == ".msgpack" else "JSON"
         raise ImpossibleLayout(

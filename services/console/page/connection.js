@@ -10,9 +10,27 @@ export function parseFrame(buffer) {
   return [header, new Uint8Array(buffer, 4 + length)];
 }
 
-/** The token of a console that is bound beyond this machine: in the fragment, which no request line carries. */
+const TOKEN = 'token';
+let known = null;
+
+/** Take the token out of the address, where neither history nor a screenshot keeps it. Returns whether there was one. */
+export function takeToken() {
+  const given = new URLSearchParams(location.hash.slice(1)).get(TOKEN);
+  if (!given) return false;
+  known = given;
+  try {
+    sessionStorage.setItem(TOKEN, given); // for a reload of this tab
+  } catch { /* a browser that stores nothing asks for the address again */ }
+  history.replaceState(history.state, '', location.pathname + location.search);
+  return true;
+}
+
+/** The token that `vantage up` printed with the address, or null. */
 export function token() {
-  return new URLSearchParams(location.hash.slice(1)).get('token');
+  try {
+    known ??= sessionStorage.getItem(TOKEN);
+  } catch { /* as above */ }
+  return known;
 }
 
 export class Connection {
@@ -25,7 +43,6 @@ export class Connection {
     this.onChange = onChange;
     this.delay = FIRST_DELAY;
     this.opened = false; // ever
-    this.isShut = false;
     this.socket = null;
     this.timer = 0;
   }
@@ -57,18 +74,8 @@ export class Connection {
     };
   }
 
-  /** Close for good, for a reason to be shown. */
-  shut(why) {
-    const old = this.socket;
-    this.socket = null;
-    this.isShut = true;
-    old.close();
-    this.onChange(false, why);
-  }
-
   /** Close and come back at once: the server then says everything again. */
   renew() {
-    if (this.isShut) return;
     const old = this.socket;
     this.socket = null;
     if (old) old.close();

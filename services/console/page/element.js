@@ -15,18 +15,41 @@ export function make(tag, attributes = {}, ...children) {
     else if (value === true) element.setAttribute(key, '');
     else if (value !== false && value !== null && value !== undefined) element.setAttribute(key, value);
   }
-  element.append(...children.filter((child) => child !== null && child !== undefined));
+  const given = children.filter((child) => child !== null && child !== undefined);
+  element.append(...given.map((child) => (typeof child === 'string' ? plain(child) : child)));
   return element;
+}
+
+const LONGEST = 2000;
+
+/**
+ * Text that somebody else wrote, without what is not seen: control codes, changes of direction. Line breaks become spaces; what is
+ * endless ends in an ellipsis. As `vantage.printable` does for terminals.
+ */
+export function plain(text) {
+  const cut = text.length > LONGEST ? `${text.slice(0, LONGEST - 1)}…` : text;
+  return cut.replace(/[\n\r\t]/g, ' ').replace(/[\p{Cc}\p{Cf}\p{Cs}\p{Co}\p{Cn}\p{Zl}\p{Zp}]/gu, '');
 }
 
 /** Set a text only where it differs, so that an unchanged frame costs no layout. */
 export function setText(element, text) {
-  if (element.textContent !== text) element.textContent = text;
+  const shown = plain(text);
+  if (element.textContent !== shown) element.textContent = shown;
+}
+
+/** Set the text that a pointer at rest shows. */
+export function setTitle(element, text) {
+  element.title = plain(text);
 }
 
 /** A reason of the console's, as a sentence by itself. */
 export function sentence(reason) {
-  return `${reason[0].toUpperCase()}${reason.slice(1)}.`;
+  return `${capital(reason)}.`;
+}
+
+/** The text with a capital letter at its beginning. */
+export function capital(text) {
+  return text[0].toUpperCase() + text.slice(1);
 }
 
 /** A titled panel with a one-line explanation, and room for tools at the right of its title. */

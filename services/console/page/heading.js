@@ -1,6 +1,6 @@
 // The top line: where this is, how the game stands, the score, the recording, and the way between watching and playing.
 
-import { button, make, setText } from './element.js';
+import { button, make, setText, setTitle } from './element.js';
 import { onChange } from './painting.js';
 import { clockRuns, episode, header, replaying, state, step } from './state.js';
 
@@ -49,7 +49,7 @@ export class Heading {
     const [name, text] = phaseOf(game);
     this.phase.dataset.state = name;
     setText(this.phase, text);
-    this.phase.title = game?.reason ?? '';
+    setTitle(this.phase, game?.reason ?? '');
     setText(this.game.value, game ? String(game.episode) : '–');
     setText(this.seed.value, game ? String(game.seed) : '–');
     setText(this.step.value, game ? `${step()} / ${game.rules.maximum_steps}` : '–');

@@ -1,6 +1,6 @@
 // How each service does, one line each; the line says why where something is wrong.
 
-import { make, panel, setText } from './element.js';
+import { make, panel, setText, setTitle } from './element.js';
 import { onChange } from './painting.js';
 import { header, state } from './state.js';
 
@@ -15,7 +15,7 @@ export class Health {
     this.table = make('table', {},
       make('thead', {}, make('tr', {}, head('service', 'Process'), head('state', 'What it says of itself'),
         head('up', 'Time since it started', '.number'), head('heard', 'Age of its last report, s', '.number'),
-        head('lost', 'Messages known to be missing', '.number'), head('bad', 'Malformed messages refused', '.number'),
+        head('lost', 'Messages known to be missing', '.number'), head('bad', 'Messages that could not be used: malformed, set aside, or failed to be handled', '.number'),
         head('reason', 'What is wrong'))), this.body);
     const { root } = panel('health', 'Services', 'How each process does; a reason where one is in trouble.',
       make('div.scroll', { tabindex: '0', 'aria-label': 'Services' }, this.table, this.empty));
@@ -45,9 +45,9 @@ export class Health {
       setText(row.uptime, span(each.uptime));
       setText(row.age, each.age === null ? '–' : `${(each.age + Math.max(0, since - 1.2)).toFixed(0)} s`);
       setText(row.lost, String(each.lost));
-      setText(row.malformed, String(each.malformed));
+      setText(row.bad, String(each.bad));
       setText(row.reason, each.reason);
-      row.reason.title = each.reason;
+      setTitle(row.reason, each.reason);
     }
     this.root.classList.toggle('stale', !state.connected);
   }
@@ -55,7 +55,7 @@ export class Health {
   row(name) {
     const cells = {
       state: make('td.state'), uptime: make('td.number'), age: make('td.number'), lost: make('td.number'),
-      malformed: make('td.number'), reason: make('td.reason'),
+      bad: make('td.number'), reason: make('td.reason'),
     };
     return { ...cells, root: make('tr', {}, make('th', { scope: 'row' }, name), ...Object.values(cells)) };
   }

@@ -1,6 +1,6 @@
 // Ties the page together: connection, mode, banner, notices, keys.
 
-import { Connection, token } from './connection.js';
+import { Connection, takeToken } from './connection.js';
 import { make, setText } from './element.js';
 import { Heading } from './heading.js';
 import { helpDialog, listen } from './keyboard.js';
@@ -16,23 +16,11 @@ window.vantage = { painted, state };
 const [main, footer, banner, notices] = ['main', 'footer', 'banner', 'notices'].map((name) => document.getElementById(name));
 const [lost, lostFor] = [make('span'), make('span', { 'aria-hidden': 'true' })]; // the seconds are not read out each second
 banner.append(lost, lostFor);
-let table = null; // ports change hands: what answers after a lost connection may be another table
-const connection = new Connection(take, (connected, why) => {
+const connection = new Connection(receive, (connected, why) => {
   if (state.connected !== connected) state.since = Date.now();
   Object.assign(state, { connected, why });
   touch('connected');
 });
-function take(head, payload) {
-  if (head.key === 'welcome') {
-    table ??= head.table;
-    if (table !== head.table) {
-      connection.shut('another deployment answers at this address now: reload the page to look at it');
-      return;
-    }
-  }
-  receive(head, payload);
-}
-
 const send = (request) => connection.send(request);
 
 let view = null;
@@ -87,9 +75,9 @@ onChange(['connected', 'second', 'welcome'], () => {
   banner.hidden = state.connected || (!connection.opened && Date.now() - state.since < 1500);
   if (banner.hidden) return;
   const seconds = Math.round((Date.now() - state.since) / 1000);
-  const hint = !connection.opened && !token() && !welcome() ? ' If the console runs on another machine, open the address with #token= that it printed.' : '';
-  const next = connection.isShut ? '' : '; trying again';
-  setText(lost, `No connection to the console${state.why ? ` (${state.why})` : ''}${next}. What you see may be old.${hint}`);
+  // What was started again wants a new token; why it refuses this page, a browser does not tell.
+  const hint = connection.opened && seconds < 10 ? '' : ' Open the address with #token= that `vantage up` and `vantage status` print.';
+  setText(lost, `No connection to the console${state.why ? ` (${state.why})` : ''}; trying again. What you see may be old.${hint}`);
   setText(lostFor, ` ${seconds} s`);
 });
 
@@ -108,4 +96,6 @@ onChange(['playback'], () => {
 });
 
 setInterval(() => touch('second'), 1000);
+takeToken();
+window.addEventListener('hashchange', () => takeToken() && location.reload()); // an address was pasted into this tab
 connection.open();

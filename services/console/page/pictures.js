@@ -42,32 +42,32 @@ export function paintDepth(canvas, bytes, width, height) {
 /** m at the far end of the depth legend: the table's diagonal. */
 export const depthRange = () => Math.ceil(welcome().size * Math.SQRT2 * 10) / 10;
 
-/**
- * The RGBA of each palette index. The palette paints a robot's own disc in one colour and the other's in another, whoever
- * looks; here the hider is always in the colour of `own` in its own view, so that a colour means the same robot everywhere.
- */
-function palette(robot) {
-  const colors = welcome().palette.map(pack);
-  if (robot === 'seeker') [colors[3], colors[4]] = [colors[4], colors[3]];
-  return colors;
-}
-
 /** @param {Uint8Array} indices [size, size] palette indices, row 0 far. */
 export function paintView(canvas, indices, robot) {
   const size = Math.sqrt(indices.length);
   const target = buffer(canvas, size, size);
-  const colors = palette(robot);
+  const colors = welcome().palettes[robot].map(pack); // a robot has one colour, whoever looks
   const { pixels } = target;
   for (let i = 0; i < pixels.length; i += 1) pixels[i] = colors[indices[i]] ?? 0xff808080;
   show(target);
 }
 
-/** A predicted seeker view: RGB [size, size, 3], red and green changed over as in `palette`. */
+/**
+ * A predicted seeker view, RGB [size, size, 3] in the network's colours: a seeker's own disc is green, the hider red. Shown with
+ * the robots' own colours, blends in between, as `view_for_people` of vantage/perception/palette.py does.
+ */
 export function paintPredicted(canvas, rgb) {
   const size = Math.sqrt(rgb.length / 3);
   const target = buffer(canvas, size, size);
   const { pixels } = target;
-  for (let i = 0, j = 0; i < pixels.length; i += 1, j += 3) pixels[i] = (0xff000000 | rgb[j + 2] << 16 | rgb[j] << 8 | rgb[j + 1]) >>> 0;
+  const { hider, seeker } = welcome().robot_colors;
+  for (let i = 0, j = 0; i < pixels.length; i += 1, j += 3) {
+    const [red, green, blue] = [rgb[j + 1] / 255, rgb[j] / 255, rgb[j + 2] / 255];
+    const ofHider = green * (1 - red) * (1 - blue);
+    const ofSeeker = red * (1 - green) * (1 - blue);
+    const part = (own, k) => Math.round(255 * own + ofHider * (hider[k] - (k === 1 ? 255 : 0)) + ofSeeker * (seeker[k] - (k === 0 ? 255 : 0)));
+    pixels[i] = pack([part(red, 0), part(green, 1), part(blue, 2)]);
+  }
   show(target);
 }
 

@@ -53,8 +53,8 @@ export class Predictions {
   headline(found) {
     const thePlan = ofThisGame('hider/plan');
     let text;
-    if (state.asked !== null) text = `Asking the predictor about goal ${nameOf(state.asked)}…`;
-    else if (found?.error) text = `No prediction for goal ${nameOf(found.goal)}: ${found.error}`;
+    if (state.asked !== null) text = `Asking the predictor about ${nameOf(state.asked)}…`;
+    else if (found?.error) text = `No prediction for ${nameOf(found.goal)}: ${found.error}`;
     else if (found) {
       const own = thePlan?.goal === found.goal;
       text = `To ${nameOf(found.goal)}, ${own ? 'the hider’s goal' : 'your goal'}: ${worthOf(found.goal)}; predicted in `

@@ -1,6 +1,6 @@
 // A log that is played back: where it is, how fast, and moving about in it.
 
-import { button, labelled, make, select, setText } from './element.js';
+import { button, labelled, make, select, setText, setTitle } from './element.js';
 import { onChange } from './painting.js';
 import { header, replaying, state } from './state.js';
 
@@ -71,7 +71,7 @@ export class ReplayBar {
     this.root.hidden = !found;
     if (!found) return;
     setText(this.name, found.log);
-    this.name.title = found.log;
+    setTitle(this.name, found.log);
     setText(this.button, found.state === 'playing' ? '❚❚ Pause' : found.state === 'ended' ? '▶ Again' : '▶ Play');
     if (document.activeElement !== this.speed) this.speed.value = String(found.speed);
     this.slider.max = found.duration;

@@ -18,14 +18,13 @@ const PAINT = {
   view: (canvas, key) => paintView(canvas, payload(key), key.split('/')[0]),
 };
 
-/** What the colours of a state image stand for; a robot's own disc is named by the robot, see `pictures.js`. */
+/** What the colours of state images stand for, whoever looks. */
 export function classes() {
-  const { palette, palette_names: names } = welcome();
-  const words = [...names.slice(0, 3), ...ROBOTS];
-  return palette.map((shade, i) => {
+  const { palettes, palette_names: names } = welcome();
+  return palettes.hider.map((shade, i) => {
     const swatch = make('i.key');
     swatch.style.background = css(shade);
-    return make('li', {}, swatch, words[i] ?? '');
+    return make('li', {}, swatch, names[i] ?? '');
   });
 }
 

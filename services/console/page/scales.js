@@ -1,6 +1,6 @@
 // Colour scales: one for danger, one for depth. Both are told apart by the colour-blind, and always stand beside numbers.
 
-// Brewer's RdYlBu, from safe (blue) to dangerous (red), as in the figures of docs/.
+// Brewer's RdYlBu, from the lowest danger (blue) to the highest (red), as in the figures of docs/.
 const DANGER = [[69, 117, 180], [145, 191, 219], [224, 243, 248], [255, 255, 191], [254, 224, 144], [252, 141, 89], [215, 48, 39]];
 // Viridis: even in lightness, near is bright.
 const NEAR_TO_FAR = [[253, 231, 37], [144, 215, 67], [53, 183, 121], [33, 145, 140], [49, 104, 142], [68, 57, 131], [68, 1, 84]];
@@ -13,7 +13,7 @@ function between(table, part) {
 
 export const css = ([red, green, blue], alpha = 1) => `rgb(${red} ${green} ${blue} / ${alpha})`;
 
-/** @param {number} part 0 = safe, 1 = dangerous. Returns [r, g, b]. */
+/** @param {number} part 0 = lowest, 1 = highest. Returns [r, g, b]. */
 export const danger = (part) => between(DANGER, part);
 
 /** Little-endian RGBA of [r, g, b]. */

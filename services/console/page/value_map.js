@@ -1,6 +1,6 @@
 // The value map over the goals: drawn into the arena, chosen by mouse or keys.
 
-import { button, make, setText } from './element.js';
+import { button, capital, make, setText } from './element.js';
 import { touch } from './painting.js';
 import { css, danger, paintScale } from './scales.js';
 import { ofThisGame, state, welcome } from './state.js';
@@ -22,10 +22,10 @@ export class ValueMap {
     paintScale(scale, 'danger', false);
     const key = (name, text) => make('li', {}, make(`i.key.${name}`, {}), text);
     this.legend = make('div.legend', {},
-      make('h3', {}, 'Value map'),
-      make('p', {}, 'expected number of checkpoints at which it is caught'),
+      make('h3', {}, 'Danger'),
+      make('p', {}, 'of each goal: checkpoints at which the hider expects to be caught'),
       make('div.scale', {}, scale, make('div.ends', {},
-        make('b', {}, this.high, make('em', {}, 'dangerous')), make('b', {}, this.low, make('em', {}, 'safe')))),
+        make('b', {}, this.high, make('em', {}, 'highest')), make('b', {}, this.low, make('em', {}, 'lowest')))),
       make('ul', {}, key('chosen', 'hider’s goal'), key('clicked', 'your goal'), key('blocked', 'blocked')),
       make('h3', {}, 'Lines'),
       make('ul', {}, key('driven', 'driven'), key('planned', 'planned'), key('asked', 'to your goal'), key('view', 'in view')));
@@ -157,7 +157,7 @@ export class ValueMap {
       this.describe();
       return;
     }
-    setText(this.line, `Goal ${nameOf(goal)}: ${worthOf(goal)}`);
+    setText(this.line, `${capital(nameOf(goal))}: ${worthOf(goal)}`);
   }
 
   describe() {
@@ -170,20 +170,20 @@ export class ValueMap {
     else if (found.goal === null) setText(this.line, 'The hider has no goal.');
     else {
       const checkpoints = Math.floor(found.horizon / found.checkpoint_interval);
-      setText(this.line, `Hider’s goal ${nameOf(found.goal)}: ${worthOf(found.goal)}, of ${checkpoints} (every `
+      setText(this.line, `Hider’s ${nameOf(found.goal)}: ${worthOf(found.goal)} of ${checkpoints} checkpoints (every `
         + `${found.checkpoint_interval} steps). Planned in ${(found.elapsed * 1000).toFixed(0)} ms.`);
     }
   }
 }
 
-/** "(0.3, 0.8) m" */
+/** "goal (0.30, 0.80) m": people know goals by their place. */
 export function nameOf(goal) {
   const [x, y] = welcome().goals[goal];
-  return `(${x.toFixed(1)}, ${y.toFixed(1)}) m`;
+  return `goal (${x.toFixed(2)}, ${y.toFixed(2)}) m`;
 }
 
 export function worthOf(goal) {
   const value = ofThisGame('hider/plan')?.values[goal];
   if (value === undefined) return 'no value yet';
-  return value === null ? 'blocked' : `${value.toFixed(2)} checkpoints caught`;
+  return value === null ? 'blocked' : `danger ${value.toFixed(2)}`;
 }

@@ -1,7 +1,7 @@
 // Watching: everything there is to see, and the first words to a visitor.
 
 import { Arena } from './arena.js';
-import { button, make, sentence } from './element.js';
+import { button, capital, make, sentence } from './element.js';
 import { GameBar } from './game_bar.js';
 import { Health } from './health.js';
 import { onChange, touch } from './painting.js';
@@ -62,7 +62,7 @@ export class Watch {
     const plan = ofThisGame('hider/plan');
     if (!plan) this.arena.say('There is no plan yet to predict along: wait for the first step of a game.');
     else if (plan.unpredictable) this.arena.say(sentence(plan.unpredictable));
-    else if (plan.values[goal] === null) this.arena.say(`Goal ${nameOf(goal)}: ${worthOf(goal)}; no way leads there.`);
+    else if (plan.values[goal] === null) this.arena.say(`${capital(nameOf(goal))}: ${worthOf(goal)}; no way leads there.`);
     else if (this.send({ type: 'predict', goal })) {
       state.goal = state.asked = goal;
       clearTimeout(this.timer);
