@@ -35,7 +35,7 @@ class VerifySettings:
     Example: vantage log verify demo/table-20260101-120000.mcap
     """
 
-    log: Annotated[Path, tyro.conf.Positional]
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The log: a file, or the first part of a split one."""
 
 
