@@ -151,7 +151,8 @@ def _play(bus: Bus, ask: Control, started: float) -> Episode:
                 console.print(f"    first tick after {time.monotonic() - started:.1f} s")
             elif plan is not None and not playing:
                 playing = True
-                console.print(f"4/5 playing, at most {rules.maximum_steps * rules.step_period:.0f} s ...")
+                longest = rules.maximum_steps * rules.step_period
+                console.print(f"4/5 playing, {f'at most {longest:.0f} s' if longest else 'as fast as possible'} ...")
             elif message.step // VIEW_INTERVAL > shown:
                 shown = message.step // VIEW_INTERVAL
                 console.print(f"    step {message.step} of {rules.maximum_steps}: the hider is free")

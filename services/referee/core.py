@@ -134,10 +134,14 @@ class RefereeCore:
         """Wait longer, up to a limit, for those who are late because this machine is too slow. Returns whether it does."""
         if self._phase not in (Phase.SETUP, Phase.COMMANDS, Phase.POSES) or not self._troubles.too_slow():
             return False
-        limit = self._settings.slow_patience
-        if self._phase is Phase.COMMANDS:
-            limit = 0.0 if self._series.players.hider == HUMAN else 0.25 * limit
-        since = self._set_up_at + int(self._settings.setup_patience * SECOND) if self._phase is Phase.SETUP else self._ticked_at
+        limit, since = self._settings.slow_patience, self._ticked_at
+        if self._phase is Phase.SETUP:
+            since = self._set_up_at + int(self._settings.setup_patience * SECOND)
+        elif self._phase is Phase.COMMANDS:
+            since = self._deadline
+            if now < since or self._series.players.hider == HUMAN:
+                return False
+            limit = 3.0 * self._settings.planning_patience if self._step == 0 else 0.25 * limit
         if now - since >= limit * SECOND:
             return False
         self._wake = now + SECOND // 2
@@ -166,14 +170,16 @@ class RefereeCore:
         if self._phase is Phase.PACING:
             return self._tick(self._step, now)
         if self._phase is Phase.COMMANDS:
-            if "hider" not in self._commanded and (lacking := self._lacking(now)):
+            if "hider" not in self._commanded and (
+                lacking := self._drivers.lacking(self._series.players.hider, self._alive, now)
+            ):
                 return self._abort(lacking, now)
             if now < self._deadline:
                 self._wake = min(now + SECOND, self._deadline)
                 return ()
             late = cast("tuple[Robot, ...]", tuple(robot for robot in ROBOTS if robot not in self._commanded))
             if self._series.rules.step_period == 0.0 or self._step == 0:
-                return self._abort(f"no command from the {' or the '.join(late)} for step {self._step}", now)
+                return self._give_up(f"no command from the {' or the '.join(late)} for step {self._step}", now)
             self._wait_for_poses(now)
             return (Publish("tick", Tick(stamp=now, episode=self._number, step=self._step, late=late)),)
         if self._phase is Phase.POSES:
@@ -283,7 +289,7 @@ class RefereeCore:
         if self._troubles.missing(self._alive):
             self._driver_until = None
             return ()
-        lacking = self._lacking(now)
+        lacking = self._drivers.lacking(self._series.players.hider, self._alive, now)
         if lacking and self._drivers.may_come(self._series.players.hider):
             if self._driver_until is None:
                 self._driver_until = now + int(self._settings.driver_patience * SECOND)
@@ -360,9 +366,8 @@ class RefereeCore:
         self._commanded.clear()
         self._phase = Phase.COMMANDS
         self._ticked_at = now
-        patience = self._settings.planning_patience if step == 0 else self._settings.command_patience
-        if self._series.rules.step_period == 0.0:
-            patience = self._settings.planning_patience
+        plans = step == 0 or self._series.rules.step_period == 0.0
+        patience = self._settings.planning_patience if plans else self._settings.command_patience
         self._deadline = now + int(patience * SECOND)
         self._wake = min(self._deadline, now + SECOND) if self._series.players.hider == HUMAN else self._deadline
         return (Publish("tick", Tick(stamp=now, episode=self._number, step=step)),)
@@ -382,9 +387,6 @@ class RefereeCore:
 
     def _give_up(self, reason: str, now: int) -> Sequence[Send]:
         return self._abort(self._troubles.blame(reason, self._alive), now)
-
-    def _lacking(self, now: int) -> str:
-        return self._drivers.lacking(self._series.players.hider, self._alive, now)
 
     def _rest(self, now: int) -> None:
         self._held = self._held and self._series.left != 0

@@ -48,5 +48,5 @@ class RefereeSettings:
     owner_patience: float = 1.0
     """Seconds within which whoever asked for games may come back to the bus, before they are stopped."""
     slow_patience: float = 20.0
-    """Seconds to wait for them instead, and for a robot's command a quarter of it, while a service says that this machine is too
-    slow: games slow down then."""
+    """Seconds to wait for them instead while a service says that this machine is too slow: games slow down then. Robots' commands
+    get a quarter of it more, the first ones three times their patience."""

@@ -100,3 +100,25 @@ def test_time_in_which_the_referee_did_not_run_counts_against_nobody() -> None:
 def test_who_is_gone_is_named_and_its_last_words_are_not_believed() -> None:
     reason = aborted_at_the_first_step(trouble("robot", "all is well"), Changed("robot", False))
     assert reason == "step 0 was not executed within 20 s; simulator or robot or onboard is not alive"
+
+
+def test_the_first_commands_are_waited_for_longer_on_a_machine_that_is_too_slow() -> None:
+    """Its planner may have to compile what it runs, which takes it a minute then."""
+    table = Table(autoplay=True, games=1)
+    table.core = RefereeCore(RefereeSettings(autoplay=True, games=1, required=REAL))
+    table.wake()
+    table.wake()
+    for name in ("tracker", "robot", "seeker", "planner"):
+        table.send(Changed(name, True))
+    table.pose("hider", 0.2, 0)
+    table.pose("seeker", 0.6, 0)
+    table.send(trouble("tracker", "this machine is too slow: tracker ran up to 0.9 s late"))
+    began = table.now
+    while table.now < began + 100 * SECOND:
+        assert table.wake() == []
+    ended: list[object] = []
+    while not ended:
+        ended = table.wake()
+    (aborted,) = ended
+    assert isinstance(aborted, Episode) and aborted.phase == "aborted"
+    assert aborted.reason.startswith("no command from the hider or the seeker for step 0; tracker: this machine is too slow")

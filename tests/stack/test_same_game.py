@@ -34,8 +34,11 @@ SEED = 11
 CAMERA = Camera(width=160, height=120)
 IN_SIMULATION = {"simulator", "referee", "seeker", "planner", "predictor"}
 GAME_TOPICS = tuple(
-    key for key, topic in TOPICS.items() if not key.startswith("health/") and IN_SIMULATION.intersection(topic.publishers)
+    key
+    for key, topic in TOPICS.items()
+    if not key.startswith("health/") and key != "control" and IN_SIMULATION.intersection(topic.publishers)
 )
+"""`control` is what people wish: a game in process needs no wish."""
 
 
 def in_process_log(path: Path) -> Path:
