@@ -91,7 +91,7 @@ def test_an_interrupted_recovery_leaves_nothing_under_its_name(tmp_path: Path, s
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     assert process.stdout is not None
     assert process.stdout.readline() == "written\n"
-    assert list(tmp_path.glob("new/.whole.partial*"))
+    assert list(tmp_path.glob("new/.whole*"))
     process.send_signal(sent)
     _, errors = process.communicate(timeout=120)
     assert process.returncode in (130, -signal.SIGKILL), errors
