@@ -1,6 +1,6 @@
 """How fast `vantage collect` plays and logs games, beside the same games without a log.
 
-    python benchmarks/collect.py [--episodes 200] [--workers 2]
+    python benchmarks/collect.py [--games 200] [--workers 2]
 
 Goal: 2,000 steps a second with full logs (one-row cameras) on two cores; 10,000 would be good.
 """
@@ -24,7 +24,7 @@ from vantage.log import LogWriter
 class Settings:
     """Measure the rate of data collection."""
 
-    episodes: int = 200
+    games: int = 200
     """Games for each side."""
     workers: int = 2
     """Processes."""
@@ -52,7 +52,7 @@ def play(hider: str, first: int, count: int, folder: str, logged: bool) -> int:
 
 
 def main(settings: Settings) -> None:
-    block = settings.episodes // settings.workers
+    block = settings.games // settings.workers
     with tempfile.TemporaryDirectory() as folder, ProcessPoolExecutor(settings.workers, get_context("spawn")) as pool:
         list(pool.map(play, *zip(*[(settings.hider, 1 + 2 * n, 2, folder, True) for n in range(settings.workers)], strict=True)))
         rates = {}
@@ -61,7 +61,7 @@ def main(settings: Settings) -> None:
             started = time.perf_counter()
             steps = sum(pool.map(play, *zip(*jobs, strict=True)))
             rates[logged] = steps / (time.perf_counter() - started)
-    print(f"{settings.episodes} games of `{settings.hider}` with {settings.workers} workers")
+    print(f"{settings.games} games of `{settings.hider}` with {settings.workers} workers")
     print(f"  with full logs   {rates[True]:8,.0f} steps/s")
     print(f"  without a log    {rates[False]:8,.0f} steps/s")
     print(f"  ratio            {rates[True] / rates[False]:8.2f}")

@@ -1,6 +1,6 @@
 """Does the loader starve training? Samples rendered by one thread, beside samples learnt from, on one core, in one run.
 
-    python -m benchmarks.loader --data dataset/
+    python -m benchmarks.loader --data data/dataset
 
 Both are counted per second of processor time, so that what else the machine does hardly matters: training with n threads needs n
 times its one-core speed from the one thread that renders. Where there is a GPU, the loader that renders there is timed, too.
@@ -18,7 +18,7 @@ import numpy as np
 import torch
 import tyro
 
-from learning.dataset import Dataset, Samples
+from learning.dataset import DEFAULT_DATASET, Dataset, Samples
 from learning.device_loader import DeviceDataset, needed_bytes
 from learning.group import Group
 from learning.recipe import PRESETS
@@ -33,7 +33,7 @@ LIMIT = 4.0  # times the speed of training on one core
 class Settings:
     """Time the loader beside training."""
 
-    data: Path = Path("dataset")
+    data: Path = DEFAULT_DATASET
     """A training set."""
     presets: tuple[str, ...] = ("compact", "paper")
     """Recipes to train by."""

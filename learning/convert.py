@@ -81,7 +81,8 @@ class Converted:
         left_out: reason -> games.
         names: whole names of hiders, seekers and layouts.
         hash: of the log's messages.
-        broken: why the log is left out; empty when it is not.
+        broken: what of the log could not be read; empty when all could.
+        recording: whether the log is being recorded now.
     """
 
     tables: dict[str, NDArray[Any]] = field(default_factory=dict)
@@ -90,6 +91,14 @@ class Converted:
     names: dict[str, set[str]] = field(default_factory=dict)
     hash: str = ""
     broken: str = ""
+    recording: bool = False
+
+    @property
+    def left_out_because(self) -> str:
+        """Why the log is left out, and what to do; empty when it is not."""
+        if self.recording:
+            return "it is being recorded now: convert it again when it is finished"
+        return f"{self.broken}: `vantage log recover` saves what is whole" if self.broken else ""
 
 
 def convert_games(games: Iterable[EpisodeLog]) -> Part:
@@ -164,9 +173,10 @@ def _convert_log(task: tuple[list[Path], Path]) -> Converted:
             if not log.breaks:
                 raise
             return Converted(broken=f"{log.breaks[0]} ({error})")
+        if log.recording:
+            return Converted(recording=True)
         if not all(file.finished for file in log.files):
-            detail = f" ({log.breaks[0]})" if log.breaks else ""
-            return Converted(broken=f"it is still being written, or was cut short{detail}")
+            return Converted(broken=log.breaks[0] if log.breaks else "it was cut short")
         if log.breaks:
             return Converted(broken=log.breaks[0])
     with images.open("wb") as file:
@@ -238,11 +248,13 @@ def convert(
         partial.mkdir()
         tasks = [(list(parts), partial / f"images.{number:06d}") for number, parts in enumerate(logs)]
         found = _convert_logs(tasks, workers, quiet)
-        broken = [f"{parts[0]}: {one.broken}" for (parts, _), one in zip(tasks, found, strict=True) if one.broken]
+        broken = [(parts[0], one) for (parts, _), one in zip(tasks, found, strict=True) if one.left_out_because]
         if need_every_log and broken:
-            raise UnusableDataset(f"{printable(broken[0])}: remove this log and run it again, its games are then played again")
-        for line in broken:
-            print(f"left out: {printable(line)}: `vantage log recover` saves what is whole", file=sys.stderr)
+            path, one = broken[0]
+            why = one.broken or "it is being recorded now"
+            raise UnusableDataset(printable(f"{path}: {why}: remove this log and run it again, its games are then played again"))
+        for path, one in broken:
+            print(printable(f"left out: {path}: {one.left_out_because}"), file=sys.stderr)
         manifest = _write(partial, tasks, found, wanted, to)
     return manifest
 
@@ -266,7 +278,11 @@ def _write(
     partial: Path, tasks: list[tuple[list[Path], Path]], found: list[Converted], wanted: Mapping[str, Sizes] | None, to: Path
 ) -> dict[str, Any]:
     """Write the training set from the tables and image files of its logs; returns the manifest."""
-    whole = [(parts, piece, converted) for (parts, piece), converted in zip(tasks, found, strict=True) if not converted.broken]
+    whole = [
+        (parts, piece, converted)
+        for (parts, piece), converted in zip(tasks, found, strict=True)
+        if not converted.left_out_because
+    ]
     left_out = sum((converted.left_out for _, _, converted in whole), Counter[str]())
     if not any(converted.images for _, _, converted in whole):
         reasons = [f"{count} {printable(reason)}" for reason, count in left_out.items()]

@@ -33,7 +33,7 @@ from vantage.output import write_complete
 class EvaluateSettings:
     """Accuracy of methods on unseen test examples, all on the same ones, with t0 any step before the catch and with t0 = 0.
 
-    Example: vantage evaluate --data dataset/ --weights weights/ --samples 1000 10000 --horizons 100 200 --oracle 50
+    Example: vantage evaluate --data data/dataset --weights weights/ --samples 1000 10000 --horizons 100 200 --oracle 50
     """
 
     data: Path = DEFAULT_DATASET

@@ -32,7 +32,7 @@ from vantage.networks.weights import ModelCard
 class TrainCaughtSettings(TrainingSettings):
     """Learn to say whether a plan ends in a catch, without predicting a view.
 
-    Example: vantage train caught --model hazard --data dataset/ --preset compact --minutes 15 --to weights/hazard.safetensors
+    Example: vantage train caught --model hazard --data data/dataset --preset compact --minutes 15 --to weights/hazard.safetensors
     """
 
     model: CaughtModel = "hazard"

@@ -36,7 +36,7 @@ from vantage.networks.weights import ModelCard, fast_precision, load_any
 class TrainVpnSettings(SharedSettings):
     """Learn to judge the views that a network predicts: is the hider caught?
 
-    Example: vantage train vpn --data dataset/ --views weights/vpt-tob.safetensors --preset compact
+    Example: vantage train vpn --data data/dataset --views weights/vpt-tob.safetensors --preset compact
     """
 
     views: Path | None = None

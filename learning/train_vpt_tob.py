@@ -28,7 +28,7 @@ from vantage.networks.weights import ModelCard, load_any
 class TrainVptTobSettings(TrainingSettings):
     """Learn to predict the seeker's view from the hider's view and its planned path.
 
-    Example: vantage train vpt-tob --data dataset/ --preset compact --minutes 40
+    Example: vantage train vpt-tob --data data/dataset --preset compact --minutes 40
     """
 
     model: Model = "vpt-tob"

@@ -22,7 +22,8 @@ from vantage.log.episodes import EpisodeLog, games_of
 from vantage.log.reader import Log, Record
 from vantage.world.arena import CATCH_TOLERANCE, goal_name
 
-UNFINISHED = "it is still being written, or was cut short: wait, or see `vantage log recover`"
+RECORDED_NOW = "it is being recorded now: check it again when it is finished"
+CUT_SHORT = "it was cut short: `vantage log recover` makes it whole"
 
 
 @dataclass(frozen=True)
@@ -35,7 +36,7 @@ class VerifySettings:
     Example: vantage log verify demo/table-20260101-120000.mcap
     """
 
-    log: Annotated[Path, tyro.conf.Positional]
+    log: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="LOG")]
     """The log: a file, or the first part of a split one."""
 
 
@@ -119,7 +120,7 @@ def check_whole(log: Log, told: Callable[[float], None]) -> list[Finding]:
             told(done / total)
         findings += [Finding(f"{file.path.name} reads", False, text) for text in file.breaks]
         if not file.finished:
-            findings.append(Finding(f"{file.path.name} was closed", False, UNFINISHED))
+            findings.append(Finding(f"{file.path.name} was closed", False, RECORDED_NOW if file.recording else CUT_SHORT))
     return findings or [Finding("the log is whole", True, f"{len(log.files)} file{'s' * (len(log.files) > 1)}")]
 
 

@@ -82,7 +82,7 @@ def results_of(
             connection = _start(function, processes)
             index, task = waiting.popleft()
             busy[connection] = processes[-1], index
-            connection.send(task)
+            _send(connection, task, processes[-1])
         while busy:
             for connection in cast(list[Connection], wait(list(busy))):
                 process, index = busy.pop(connection)
@@ -95,7 +95,7 @@ def results_of(
                 if waiting:
                     following, task = waiting.popleft()
                     busy[connection] = process, following
-                    connection.send(task)
+                    _send(connection, task, process)
                 else:
                     connection.close()
                 yield index, result
@@ -104,6 +104,13 @@ def results_of(
             process.kill()
         for process in processes:
             process.join()
+
+
+def _send(connection: Connection, task: object, process: BaseProcess) -> None:
+    try:
+        connection.send(task)
+    except OSError:
+        raise WorkerFailed(_end_of(process)) from None
 
 
 def _start(function: Callable[[Task], Result], processes: list[BaseProcess]) -> Connection:

@@ -7,6 +7,7 @@ import importlib.metadata
 import inspect
 import io
 import os
+import select
 import sys
 import typing
 from collections.abc import Callable, Sequence
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from vantage.errors import explain
+from vantage.printable import printable
 from vantage.stopping import follow_parent, run_stoppable
 
 
@@ -222,19 +224,26 @@ def main() -> None:
     sys.exit(run_stoppable(lambda: _run_explained(command, rest), f"vantage {command.words}", command.kept))
 
 
+def _output_is_closed() -> bool:
+    poll = select.poll()
+    poll.register(sys.stdout.fileno(), 0)
+    return any(event & select.POLLERR for _, event in poll.poll(0))
+
+
 def _run_explained(command: Command, arguments: Sequence[str]) -> int:
     """Run a command; an error that a person can do something about becomes one line and exit code 1."""
     try:
         return run(command, arguments)
-    except BrokenPipeError:
-        # The reader of our output has gone, as `head` does; nothing can be said any more.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
     except Exception as error:
+        if isinstance(error, BrokenPipeError) and _output_is_closed():
+            # The reader of our output has gone, as `head` does; nothing can be said any more.
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return 0
         line = explain(error)
         if line is None:
             raise
-        print(f"vantage {command.words}: {line}", file=sys.stderr)
+        # Lines may name files and quote strangers.
+        print("\n".join(printable(part) for part in f"vantage {command.words}: {line}".splitlines()), file=sys.stderr)
         return 1
 
 

@@ -34,7 +34,8 @@ def explain(error: BaseException) -> str | None:
     if isinstance(error, UserError):
         return str(error)
     if isinstance(error, OSError) and error.errno is not None:
-        reason = os.strerror(error.errno)
+        # Errors of name look-ups have negative numbers of their own.
+        reason = os.strerror(error.errno) if error.errno > 0 else str(error.strerror)
         names = [os.fsdecode(name) for name in (error.filename, error.filename2) if isinstance(name, str | bytes)]
         remedy = _REMEDIES.get(error.errno)
         return ": ".join((*names[:1], reason)) + (f"; {remedy}" if remedy else "")

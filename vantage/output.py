@@ -12,7 +12,7 @@ from pathlib import Path
 
 from vantage.errors import UserError
 
-_PARTIAL = re.compile(r"^\..*\.(?:partial|old)-(\d+)")
+_PARTIAL = re.compile(r"^\.(?P<target>.*)\.(?P<kind>partial|old)-(?P<process>\d+)")
 
 
 class AlreadyExists(UserError):
@@ -25,7 +25,7 @@ class AlreadyExists(UserError):
 def partial_name(target: Path) -> Path:
     """Return the hidden name beside `target` under which this process writes it."""
     # Whole names: results that differ by their ending alone may be written side by side.
-    return target.with_name(f".{target.name}.partial-{os.getpid()}{target.suffix}")
+    return target.with_name(_beginning(target) + target.suffix)
 
 
 @contextmanager
@@ -45,27 +45,33 @@ def complete(target: Path, *, replace: bool = True) -> Iterator[Path]:
     if not replace and os.path.lexists(target):
         raise AlreadyExists(target)
     target.parent.mkdir(parents=True, exist_ok=True)
+    if target.is_symlink():
+        target = Path(os.path.realpath(target))
     partial = partial_name(target)
-    _remove_beginning_with(partial)
+    _remove_own(target)
     try:
         yield partial
         if not replace and os.path.lexists(target):
             raise AlreadyExists(target)
         _sync(partial)
         if target.is_dir() and not target.is_symlink():
-            old = target.with_name(f".{target.stem}.old-{os.getpid()}")
+            old = target.with_name(f".{target.name}.old-{os.getpid()}")
             target.rename(old)
-            partial.rename(target)
+            try:
+                partial.rename(target)
+            except BaseException:
+                old.rename(target)
+                raise
             _remove(old)
         else:
             partial.replace(target)
     except OSError as error:
-        of_ours = error.filename is None or str(error.filename).startswith(str(partial.with_suffix("")))
+        of_ours = error.filename is None or str(error.filename).startswith(str(target.with_name(_beginning(target))))
         if error.errno is None or not of_ours:
             raise
         raise OSError(error.errno, os.strerror(error.errno), str(target)) from error
     finally:
-        _remove_beginning_with(partial)
+        _remove_own(target)
 
 
 def write_complete(target: Path, content: str | bytes, *, replace: bool = True) -> None:
@@ -75,10 +81,15 @@ def write_complete(target: Path, content: str | bytes, *, replace: bool = True) 
 
 
 def remove_abandoned(folder: Path) -> None:
-    """Remove partial results in `folder` that belong to processes which no longer live."""
+    """Remove partial results in `folder` of processes that no longer live; what one had moved aside goes back to its name."""
     for path in folder.glob(".*-*"):
         found = _PARTIAL.match(path.name)
-        if found and not Path(f"/proc/{found[1]}").exists():
+        if found is None or Path(f"/proc/{found['process']}").exists():
+            continue
+        target = path.with_name(found["target"])
+        if found["kind"] == "old" and not os.path.lexists(target):
+            path.rename(target)
+        else:
             _remove(path)
 
 
@@ -91,9 +102,16 @@ def _sync(path: Path) -> None:
             os.close(descriptor)
 
 
-def _remove_beginning_with(partial: Path) -> None:
-    for path in partial.parent.glob(f"{glob.escape(partial.stem)}*"):
-        _remove(path)
+def _beginning(target: Path) -> str:
+    """Return the beginning of the names of all that this process writes for `target`."""
+    return f".{target.name}.partial-{os.getpid()}"
+
+
+def _remove_own(target: Path) -> None:
+    beginning = _beginning(target)
+    for path in target.parent.glob(f"{glob.escape(beginning)}*"):
+        if not path.name[len(beginning) :][:1].isdigit():  # else of a process with a longer number
+            _remove(path)
 
 
 def _remove(path: Path) -> None:

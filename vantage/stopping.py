@@ -42,7 +42,9 @@ def stop_deferred() -> Iterator[None]:
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    previous = {number: signal.signal(number, _on_signal) for number in _SIGNALS}
+    previous = {
+        number: signal.signal(number, _on_signal) for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN
+    }
     _deferrals += 1
     try:
         yield
@@ -115,7 +117,9 @@ def _ended_by_force(name: str, kept: str) -> Iterator[_End]:
     awake, alarm = socket.socketpair()
     alarm.setblocking(False)
     previous_alarm = signal.set_wakeup_fd(alarm.fileno(), warn_on_full_buffer=False)
-    previous = {number: signal.signal(number, _on_signal) for number in _SIGNALS}
+    previous = {
+        number: signal.signal(number, _on_signal) for number in _SIGNALS if signal.getsignal(number) is not signal.SIG_IGN
+    }
 
     def watch() -> None:
         try:

@@ -60,6 +60,9 @@ def test_times_of_publishing_are_of_one_clock_although_one_was_set(zenoh_network
         zenoh_network.participant(name, "latch", "steady", set_by=set_by)
         events = zenoh_network.take(reader, 3)
         times += [event.published for event in events if isinstance(event, Sample)]
+        # The publisher's stamps are by its own clock, and so is `sent`.
+        ahead = [event.sent - event.published for event in events if isinstance(event, Sample)]
+        assert ahead == pytest.approx([set_by * 1e9] * 3, abs=1e9)
         assert before - 10**9 < times[-1] < time.time_ns() + 10**9
     assert times == sorted(times)
 

@@ -27,7 +27,7 @@ def test_a_bug_is_not_explained(bug: Exception) -> None:
 def test_every_error_for_people_is_found_by_its_class() -> None:
     root = Path(__file__).resolve().parents[2]
     sources = [path for room in ("vantage", "services", "learning") for path in (root / room).rglob("*.py")]
-    assert not [path for path in sources if "for_people" in path.read_text()]
+    assert not [path for path in sources if "for_people =" in path.read_text()]
     assert explain(UserError("what is wrong: what to do")) == "what is wrong: what to do"
 
 
@@ -41,6 +41,11 @@ def test_a_path_through_a_file_is_one_line(tmp_path: Path) -> None:
     outcome = run("table", "print", "--to", str(tmp_path / "file" / "prints"))
     assert outcome.returncode == 1
     assert outcome.stderr.count("\n") == 1 and "Not a directory" in outcome.stderr
+
+
+def test_a_name_with_codes_is_printed_and_not_obeyed(tmp_path: Path) -> None:
+    outcome = run("log", "info", str(tmp_path / "a\x1b[31mb.mcap"))
+    assert outcome.returncode == 1 and "\x1b" not in outcome.stderr and "a[31mb.mcap" in outcome.stderr
 
 
 def test_a_terminal_that_lacks_letters_ends_no_command(tmp_path: Path) -> None:

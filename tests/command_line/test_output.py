@@ -59,6 +59,39 @@ def test_a_full_disk_is_told_by_the_name_of_the_result(tmp_path: Path) -> None:
     assert caught.value.errno == 28 and os.listdir(tmp_path) == []
 
 
+def test_neighbours_of_a_folder_are_left_alone(tmp_path: Path) -> None:
+    other = tmp_path / f".set.partial-{os.getpid()}9"
+    for path in (tmp_path / ".set-backup", tmp_path / ".set.other", other):
+        path.mkdir()
+    with complete(tmp_path / "set") as partial:
+        partial.mkdir()
+    assert sorted(os.listdir(tmp_path)) == [".set-backup", ".set.other", other.name, "set"]
+
+
+def test_a_folder_that_was_moved_aside_comes_back(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "a").write_text("good")
+    rename = Path.rename
+
+    def interrupted(path: Path, target: Path) -> Path:
+        if ".partial-" in path.name:
+            raise KeyboardInterrupt
+        return rename(path, target)
+
+    def replace() -> None:
+        with complete(tmp_path / "set") as partial:
+            partial.mkdir()
+
+    monkeypatch.setattr(Path, "rename", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        replace()
+    assert (tmp_path / "set" / "a").read_text() == "good" and os.listdir(tmp_path) == ["set"]
+    monkeypatch.undo()
+    (tmp_path / "set").rename(tmp_path / ".set.old-4194305")  # as a process leaves it that is killed there
+    remove_abandoned(tmp_path)
+    assert (tmp_path / "set" / "a").read_text() == "good" and os.listdir(tmp_path) == ["set"]
+
+
 def test_what_a_dead_process_left_is_removed_and_a_living_one_s_is_not(tmp_path: Path) -> None:
     dead, living = tmp_path / ".a.partial-4194305.json", partial_name(tmp_path / "b.json")
     for path in (dead, living):

@@ -66,6 +66,14 @@ def test_it_ends_with_one_line(doing: str, number: signal.Signals) -> None:
     assert errors == "vantage test: stopped; all is kept\n"
 
 
+def test_a_command_under_nohup_outlives_its_terminal() -> None:
+    body = "import os\nos.kill(os.getpid(), 1)\nprint('alive', flush=True)"
+    indented = "\n".join(f"    {line}" for line in body.splitlines())
+    program = f"from vantage.stopping import run_stoppable\ndef command():\n{indented}\n    return 0\nrun_stoppable(command, 'x')"
+    outcome = subprocess.run(["nohup", sys.executable, "-c", program], capture_output=True, text=True, check=False, timeout=60)
+    assert outcome.stdout == "alive\n", outcome.stderr
+
+
 def test_a_worker_ends_with_its_parent_and_leaves_ctrl_c_to_it() -> None:
     worker = (
         "import time\nfrom vantage.stopping import follow_parent\nfollow_parent()\nprint('ready', flush=True)\ntime.sleep(60)"

@@ -81,14 +81,7 @@ def test_collect(tmp_path: Path, when: str) -> None:
     assert sorted(game.number for game in episodes(read(tmp_path / "logs"))) == list(range(1, 61))
 
 
-CONVERT = {
-    "it begins": lambda folder: bool(hidden(folder)),
-    "a log is converted": lambda folder: any(folder.glob(".set.partial-*/images.*")),
-}
-
-
-@pytest.mark.parametrize("when", CONVERT)
-def test_convert(tmp_path: Path, when: str) -> None:
+def test_convert(tmp_path: Path) -> None:
     logs = tmp_path / "logs"
     settings = CollectSettings(hider="random", steps=200, catching=True)
     play_block(settings, range(1, 11), logs / "0.mcap")
@@ -96,7 +89,7 @@ def test_convert(tmp_path: Path, when: str) -> None:
         shutil.copy(logs / "0.mcap", logs / f"{number}.mcap")
     command = ["convert", str(logs), "--to", str(tmp_path / "set"), "--workers", "2"]
     process = begin(*command, folder=tmp_path)
-    wait_for(lambda: CONVERT[when](tmp_path), process)
+    wait_for(lambda: any(tmp_path.glob(".set.partial-*/images.*")), process)
     errors = stop(process, tmp_path)
     assert errors == "vantage convert: stopped; nothing was written; run it again\n"
     assert not (tmp_path / "set").exists()
@@ -106,18 +99,11 @@ def test_convert(tmp_path: Path, when: str) -> None:
     assert len(Dataset(tmp_path / "set").episodes) == 120
 
 
-GATHER = {
-    "recordings are played": lambda folder: bool(hidden(folder / "data" / "evader")),
-    "it is converted": lambda folder: any((folder / "data").glob(".dataset.partial-*/images.*")),
-}
-
-
-@pytest.mark.parametrize("when", GATHER)
-def test_gather(tmp_path: Path, when: str) -> None:
+def test_gather_while_it_converts(tmp_path: Path) -> None:
     command = ["gather", "--train", "30", "--validation", "2", "--test", "2", "--block", "10", "--steps", "60"]
     command += ["--workers", "2", "--to", str(tmp_path / "data")]
     process = begin(*command, folder=tmp_path)
-    wait_for(lambda: GATHER[when](tmp_path), process)
+    wait_for(lambda: any((tmp_path / "data").glob(".dataset.partial-*/images.*")), process)
     errors = stop(process, tmp_path)
     assert errors == "vantage gather: stopped; finished logs are kept; the same command goes on\n"
     assert not (tmp_path / "data" / "dataset").exists()

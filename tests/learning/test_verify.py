@@ -12,7 +12,7 @@ from learning.process_replay import ProcessReplay, answers_as_heard, replay_serv
 from learning.verify import VerifySettings, check, check_game, main
 from schemas import GOAL_COUNT, Command, Message, Plan, PredictReply, PredictRequest, Tick, encode
 from services.simulator.core import SimulatorSettings
-from tests.log.making import records_of, write_log
+from tests.log.making import records_of, write_log, write_record
 from vantage.log import LogWriter, Record, open_log, read
 from vantage.log.episodes import EpisodeLog, episodes
 from vantage.service import Answered, Ask, Changed, Declaration, Received, Send
@@ -226,16 +226,26 @@ def test_a_damaged_log_is_not_good(log: Path, tmp_path: Path, capsys: pytest.Cap
 
 @pytest.mark.filterwarnings("error")
 def test_a_log_that_is_not_closed_is_not_good(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    """Its messages are all there, and a recorder may be writing it."""
     with open_log(log) as whole:
         last = max(chunk.offset + chunk.length for chunk in whole.files[0].chunks)
     (tmp_path / "cut.mcap").write_bytes(log.read_bytes()[:last])
     findings = check(tmp_path / "cut.mcap")
     wrong = [finding for finding in findings if finding.good is False]
     assert [finding.what for finding in wrong] == ["cut.mcap reads", "cut.mcap was closed"]
-    assert "breaks off at byte" in wrong[0].detail and "still being written" in wrong[1].detail
+    assert "breaks off at" in wrong[0].detail and "vantage log recover" in wrong[1].detail
     assert main(VerifySettings(tmp_path / "cut.mcap")) == 1
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_log_that_is_being_recorded_is_not_finished(log: Path, tmp_path: Path) -> None:
+    with LogWriter(tmp_path / "live.mcap", {}, sync=False) as writer:
+        for record in read(log):
+            write_record(writer, record)
+        writer.flush()
+        wrong = [finding for finding in check(tmp_path / "live.mcap") if finding.good is False]
+    assert [finding.what for finding in wrong] == ["live.mcap was closed"]
+    assert "being recorded now" in wrong[0].detail
 
 
 def test_what_takes_long_tells_how_far_it_is(log: Path) -> None:

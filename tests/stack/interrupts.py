@@ -221,7 +221,7 @@ def _interrupt_once(settings: Settings, row: Row, stage: Stage, runtime: Path, m
         found.append(f"{at}: a traceback: {(printed + complained)[-400:]}")
     found += [f"{at}: left behind: {left}" for left in left_behind(folder, runtime, case.on_a_table)]
     found += [f"{at}: half under its final name: {path}" for path in half_written(folder)]
-    if case.endless is None:
+    if case.endless is None and process.returncode:  # else it was done before, and a result is not overwritten
         _, trouble = complete(case, stage, folder, runtime)
         if trouble:
             found.append(f"{at}: the same command again: {trouble}")

@@ -75,6 +75,12 @@ class Sample(Struct, eq=False):
     published: int
     _kind: type[Message] | None = None
     _message: Message | None = None
+    _sent: int = 0
+
+    @property
+    def sent(self) -> int:
+        """When it was published by the publisher's own clock, ns: comparable with the stamps that it wrote into its messages."""
+        return self._sent or self.published
 
     @property
     def payload(self) -> bytes:

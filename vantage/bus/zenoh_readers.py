@@ -73,7 +73,7 @@ class Reader:
         shift = stamp.shift(self.clock)
         # One wall clock for all publishers of this machine, whenever they started.
         published = stamp.published + (0 if shift is None else shift + self.clock.wall_minus_steady)
-        return Sample(key, payload, stamp.publisher, stamp.sequence, published, kind)
+        return Sample(key, payload, stamp.publisher, stamp.sequence, published, kind, None, stamp.published)
 
 
 class Arrival:
@@ -187,12 +187,10 @@ class Lossless(Reader):
             data = attachment.to_bytes()
             source = self._by_origin.get(data[ORIGIN:])
             if source is not None:
-                sequence, published = NUMBERS.unpack_from(data)
+                sequence, sent = NUMBERS.unpack_from(data)
                 if source.stream.follows(sequence):
-                    published += source.to_wall
-                    return Sample(
-                        self._topic.key, sample.payload.to_bytes(), source.publisher, sequence, published, self._topic.type
-                    )
+                    payload, published = sample.payload.to_bytes(), sent + source.to_wall
+                    return Sample(self._topic.key, payload, source.publisher, sequence, published, self._topic.type, None, sent)
         return None
 
     def read(self, sample: zenoh.Sample, ready: deque[Event]) -> None:

@@ -168,8 +168,8 @@ class LogFile:
                     return
             position = following
         if not self.recording:
-            at = f"byte {position} of {self._size}" if position < self._size else f"its end, byte {position}"
-            self._note(f"breaks off at {at}: it was not closed")
+            where = f"of {self._size}" if position < self._size else "(its end)"
+            self._note(f"breaks off at byte {position} {where}: it was not closed")
         if self.chunks:
             self.chunks[-1].channels = None  # its index may be cut off, too
 

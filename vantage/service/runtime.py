@@ -209,7 +209,7 @@ class Runtime:
         counts.publisher = sample.publisher
         if type(message) is Episode:
             condition.expects_flow(message.phase == "running" and not message.paused and message.rules.step_period > 0, now)
-        self._step(Arrived(sample.key, message, sample.published), now, sample.publisher)
+        self._step(Arrived(sample.key, message, sample.sent), now, sample.publisher)
 
     def _handle_request(self, request: Request, now: int) -> None:
         counts = self._condition.counts_of(request.key)

@@ -143,7 +143,7 @@ def take(heard: Heard, sample: Sample, passed: float, now: int) -> None:
         message = sample.decode()
     except MalformedMessage:
         return
-    offset = now - sample.published
+    offset = now - sample.sent
     heard.clocks[sample.publisher] = min(heard.clocks.get(sample.publisher, offset), offset)
     if isinstance(message, Health):
         heard.health[message.service] = message, passed
