@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -101,3 +102,12 @@ class Losses:
         else:
             why = f"{path if is_open else path.parent}: {'the disk is full' if is_full else error.strerror or error}"
         return f"{why}; messages dropped so far: {sum(self.dropped.values())}"
+
+
+def has_room(folder: Path, size: int) -> bool:
+    """Return whether `size` bytes fit on the disk of a folder: on a full one a few messages may fit now and then."""
+    try:
+        disk = os.statvfs(folder)
+    except OSError:
+        return False
+    return disk.f_bavail * disk.f_frsize >= size

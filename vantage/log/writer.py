@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 from schemas import TOPICS, Gap, encode
 from vantage.log.compression import Compression
-from vantage.log.losses import MOST_NAMES, NOTES, Losses, Name, add_to
+from vantage.log.losses import MOST_NAMES, NOTES, Losses, Name, add_to, has_room
 from vantage.log.metadata import GAPS, NEXT, PART, RUN, RunMetadata
 from vantage.log.names import part_path
 from vantage.log.part import FILE_MODE, FOLDER_MODE, ChunkLost, Part
@@ -216,7 +216,7 @@ class LogWriter:
             for (key, publisher), missed in self._losses.notes_due():
                 self._put_note(key, publisher, missed)
             self._write_chunks(self._part)
-        if wrote and not (self._failed or failed_before) and self._has_room():
+        if wrote and not (self._failed or failed_before) and has_room(self._part.path.parent, self._chunk_size):
             self.error = None
         self._failed = self._wrote = False
         if self._sync and self._part.is_open and self._synced != (self._part, self._part.size):
@@ -226,14 +226,6 @@ class LogWriter:
                 self._thread.submit(self._part.sync)
             if wait:
                 self._note_sync_errors()
-
-    def _has_room(self) -> bool:
-        """Return whether a whole chunk would fit: on a full disk, a few messages may fit now and then."""
-        try:
-            disk = os.statvfs(self._part.path.parent)
-        except OSError:
-            return False
-        return disk.f_bavail * disk.f_frsize >= self._chunk_size or self.error is None
 
     def split(self) -> None:
         """Begin a new part: the next file is open before the present one is closed.
