@@ -158,11 +158,3 @@ def train(settings: TrainCaughtSettings, place: Place, group: Group, data: Datas
         lambda: {"training/rate": recipe.rate * rate_factor(recipe, run.progress)},
     )
     run.finish()
-
-
-if __name__ == "__main__":  # for torchrun
-    import sys
-
-    from vantage import cli
-
-    cli.main(["train", "caught", *sys.argv[1:]])

@@ -133,11 +133,3 @@ def train(settings: TrainVptTobSettings, place: Place, group: Group, data: Datas
         lambda: {"training/rate": recipe.rate * rate_factor(recipe, run.progress)},
     )
     run.finish()
-
-
-if __name__ == "__main__":  # for torchrun
-    import sys
-
-    from vantage import cli
-
-    cli.main(["train", "vpt-tob", *sys.argv[1:]])

@@ -193,12 +193,12 @@ def run(command: Command, arguments: Sequence[str]) -> int:
     return int(function(settings) or 0)
 
 
-def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the command that the arguments name, those of the process if not said: entry point of the `vantage` script."""
+def main() -> None:
+    """Entry point of the `vantage` script."""
     if "VANTAGE_STAGE" in os.environ:  # a stage of `vantage reproduce`
         follow_parent()
-    arguments = sys.argv[1:] if arguments is None else arguments
-    if list(arguments) == ["--version"]:
+    arguments = sys.argv[1:]
+    if arguments == ["--version"]:
         print(f"vantage {importlib.metadata.version('vantage-hide-and-seek')}")
         sys.exit(0)
     if not arguments or arguments[0] in ("-h", "--help", "help"):
