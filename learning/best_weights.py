@@ -64,6 +64,24 @@ class BestWeights:
             save_state(self._network, self.path, self.card)
         amend(self.path, **came_to)  # always, so that the card's page is worded as one that was read
 
+    def mend(self, came_to: dict[str, Any], over: bool) -> str:
+        """Write again what differs from the checkpoint on disk; return a line on it, empty where nothing does.
+
+        Args:
+            came_to: see `write`.
+            over: the training is, so its card must name what it came to.
+        """
+        if self.card is None:
+            return ""
+        if not self.are_whole():
+            self.write(came_to)
+            return f"{self.path} was gone or damaged: written again, from the checkpoint"
+        training = read_card(self.path).training
+        if over and {name: training.get(name) for name in came_to} != came_to:
+            self.write(came_to)
+            return f"{card_path(self.path)} was not final: completed, from the checkpoint"
+        return ""
+
     def refuse_to_overwrite(self, known: bool) -> None:
         """Raise where files of these names are not this training's.
 

@@ -26,14 +26,14 @@ from learning.provenance import provenance
 from vantage.errors import UserError
 from vantage.networks.vpn import Vpn
 from vantage.networks.weights import ModelCard, load
-from vantage.output import write_complete
+from vantage.output import refuse_existing, write_complete
 
 
 @dataclass(frozen=True)
 class EvaluateSettings:
     """Accuracy of methods on unseen test examples, all on the same ones, with t0 any step before the catch and with t0 = 0.
 
-    Example: vantage evaluate --data data/dataset --weights weights/ --samples 1000 10000 --horizons 100 200 --oracle 50
+    Example: vantage evaluate --samples 1000 10000 --horizons 100 200 --oracle 50
     """
 
     data: Path = DEFAULT_DATASET
@@ -57,7 +57,9 @@ class EvaluateSettings:
     ablations: bool = False
     """Also VPN on true views, and the VPN that learnt from true views (vpn-on-true.safetensors) on predictions."""
     to: Path | None = Path("runs/accuracy")
-    """Write the results to this path, as .json and .md. Results that are there are replaced."""
+    """Write the results to this path, as .json and .md."""
+    force: bool = False
+    """Replace results that are there."""
     threads: int = 0
     """CPU threads; 0 = all cores."""
     seed: int = 1
@@ -79,6 +81,8 @@ def main(settings: EvaluateSettings) -> int:
         print(line, file=sys.stderr)
     if not methods:
         raise UnusableSettings(f"no method has its weights in {folder}: choose another --weights")
+    files = [settings.to.with_name(settings.to.name + ending) for ending in (".json", ".md")] if settings.to else []
+    refuse_existing(*files, force=settings.force)
     if settings.weights is None:
         print(f"weights in {folder}", file=sys.stderr)
     warnings = warnings_of([method for trained in methods.values() for method in trained], data)
@@ -108,8 +112,8 @@ def main(settings: EvaluateSettings) -> int:
         out.print(table_of(result, papers), *fewer(result), "", sep="\n")
     for line in warnings:
         print(f"warning: {line}", file=sys.stderr)
-    if settings.to:
-        page, table = settings.to.with_name(settings.to.name + ".md"), settings.to.with_name(settings.to.name + ".json")
+    if files:
+        table, page = files
         write_complete(table, json.dumps(report, indent=2, allow_nan=False) + "\n")
         write_complete(page, page_of(report))
         print(f"results in {table} and {page}")

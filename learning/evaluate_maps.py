@@ -24,8 +24,8 @@ from learning.value_maps.truth import Case, cases_of, seeds_of_test_split
 from schemas import Rules
 from services.planner.value_map import Value
 from vantage.errors import UserError
-from vantage.output import complete, write_complete
-from vantage.play import SeekerPreset
+from vantage.match import SeekerPreset
+from vantage.output import complete, refuse_existing, write_complete
 
 TIMED_MAPS = 5
 
@@ -38,7 +38,7 @@ class UnusableSettings(UserError, ValueError):
 class EvaluateMapsSettings:
     """Value maps of each method beside ground truth from simulation, and survival of a hider that drives to the goal they choose.
 
-    Example: vantage evaluate maps --weights weights/ --methods vpt-tob --starts 50 --to runs/maps
+    Example: vantage evaluate maps --methods vpt-tob --starts 50
     """
 
     weights: Path | None = None
@@ -62,7 +62,9 @@ class EvaluateMapsSettings:
     seed: int = 1
     """Draws the starts and the bootstrap."""
     to: Path = Path("runs/maps")
-    """Write the results to this path, as .json, .md and .npz. Results that are there are replaced."""
+    """Write the results to this path, as .json, .md and .npz."""
+    force: bool = False
+    """Replace results that are there."""
     threads: int = 0
     """Threads, for simulation and networks; 0 = all cores."""
 
@@ -76,6 +78,8 @@ def main(settings: EvaluateMapsSettings) -> int:
         print(line, file=sys.stderr)
     if not methods:
         raise UnusableSettings(f"no method has its weights in {folder}: choose another --weights")
+    table, text, maps_file = (settings.to.with_name(settings.to.name + ending) for ending in (".json", ".md", ".npz"))
+    refuse_existing(table, text, maps_file, force=settings.force)
     if settings.weights is None:
         print(f"weights in {folder}", file=sys.stderr)
     against = settings.against if settings.against in methods else next(iter(methods))
@@ -130,12 +134,12 @@ def main(settings: EvaluateMapsSettings) -> int:
         },
     }
     page = page_of(report)
-    write_complete(settings.to.with_suffix(".json"), json.dumps(report, indent=2) + "\n")
-    write_complete(settings.to.with_suffix(".md"), page)
-    with complete(settings.to.with_suffix(".npz")) as partial:
+    write_complete(table, json.dumps(report, indent=2) + "\n")
+    write_complete(text, page)
+    with complete(maps_file) as partial:
         np.savez_compressed(partial, **arrays(cases, horizons, maps))  # type: ignore[arg-type]
     Console().print(Markdown(page))
-    print(f"results in {settings.to.with_suffix('.json')}, .md and .npz")
+    print(f"results in {table}, {text} and {maps_file}")
     return 0
 
 

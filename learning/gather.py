@@ -28,8 +28,8 @@ from vantage.errors import UserError
 from vantage.log import open_log, source_commit
 from vantage.log.file import first_metadata
 from vantage.log.words import counted
-from vantage.output import write_complete
-from vantage.play import SeekerPreset
+from vantage.match import SeekerPreset
+from vantage.output import AlreadyExists, write_complete
 
 SCHEMA_VERSION = 1
 
@@ -207,6 +207,8 @@ def main(settings: GatherSettings) -> int:
     if min(sizes) < 0 or sum(sizes) == 0 or settings.steps < 1 or settings.block < 1 or settings.workers < 0:
         raise Refusal("sizes and --workers must not be negative, nor all sizes zero; --steps and --block must be at least 1")
     manifest = read_manifest(settings.to)
+    if not manifest and (settings.to / "dataset").exists():
+        raise AlreadyExists(settings.to / "dataset", "it is not of this set: choose another --to")
     begun: dict[str, Any] = {"schema_version": SCHEMA_VERSION, "settings": identity_of(settings)}
     if manifest and {name: manifest.get(name) for name in begun} != begun:
         different = differences(manifest.get("settings"), begun["settings"]) or "by another version"

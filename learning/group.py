@@ -1,4 +1,4 @@
-"""Several training processes as one (`torchrun --nproc-per-node 2 -m learning.train_vpt_tob ...`), or one by itself."""
+"""Several training processes as one (`torchrun --nproc-per-node 2 -m vantage.cli train vpt-tob ...`), or one by itself."""
 
 from __future__ import annotations
 

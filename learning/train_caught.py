@@ -32,7 +32,7 @@ from vantage.networks.weights import ModelCard
 class TrainCaughtSettings(TrainingSettings):
     """Learn to say whether a plan ends in a catch, without predicting a view.
 
-    Example: vantage train caught --model hazard --data data/dataset --preset compact --minutes 15 --to weights/hazard.safetensors
+    Example: vantage train caught --model hazard --preset compact --minutes 15
     """
 
     model: CaughtModel = "hazard"
@@ -158,13 +158,3 @@ def train(settings: TrainCaughtSettings, place: Place, group: Group, data: Datas
         lambda: {"training/rate": recipe.rate * rate_factor(recipe, run.progress)},
     )
     run.finish()
-
-
-if __name__ == "__main__":  # for torchrun
-    import sys
-
-    import tyro
-
-    from vantage.stopping import run_stoppable
-
-    sys.exit(run_stoppable(lambda: main(tyro.cli(TrainCaughtSettings)), "train caught"))

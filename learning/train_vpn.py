@@ -36,13 +36,13 @@ from vantage.networks.weights import ModelCard, fast_precision, load_any
 class TrainVpnSettings(SharedSettings):
     """Learn to judge the views that a network predicts: is the hider caught?
 
-    Example: vantage train vpn --data data/dataset --views weights/vpt-tob.safetensors --preset compact
+    Example: vantage train vpn --preset compact
     """
 
     views: Path | None = None
     """Weights whose predictions it learns from, of any network that predicts a view; if not said, runs/vpt-tob.safetensors where
     a training has left them, else the released ones. With several --seeds each learns from those of its own seed, where they lie
-    beside: vpt-tob-seed2.safetensors."""
+    beside: vpt-tob-seed2.safetensors; so does a single seed where there are no others."""
     preset: Literal["paper", "compact"] = "paper"
     """`paper`: the paper's recipe. `compact`: a stream of fresh predictions, some minutes on a CPU core."""
     images: int | None = None
@@ -191,7 +191,9 @@ def views_of(settings: TrainVpnSettings, place: Place) -> Path:
     views = settings.views or default_views()
     own = [of_seed(views, seed) for seed in settings.seeds]
     there = [path.exists() for path in own]
-    if len(own) == 1 or not any(there):
+    if len(own) == 1:
+        return own[0] if there[0] and not views.exists() else views
+    if not any(there):
         return views
     if not all(there):
         raise UnusableTraining(f"no weights at {own[there.index(False)]}: there are some of another seed, so each needs its own")

@@ -28,7 +28,7 @@ from vantage.networks.weights import ModelCard, load_any
 class TrainVptTobSettings(TrainingSettings):
     """Learn to predict the seeker's view from the hider's view and its planned path.
 
-    Example: vantage train vpt-tob --data data/dataset --preset compact --minutes 40
+    Example: vantage train vpt-tob --preset compact --minutes 40
     """
 
     model: Model = "vpt-tob"
@@ -133,13 +133,3 @@ def train(settings: TrainVptTobSettings, place: Place, group: Group, data: Datas
         lambda: {"training/rate": recipe.rate * rate_factor(recipe, run.progress)},
     )
     run.finish()
-
-
-if __name__ == "__main__":  # for torchrun
-    import sys
-
-    import tyro
-
-    from vantage.stopping import run_stoppable
-
-    sys.exit(run_stoppable(lambda: main(tyro.cli(TrainVptTobSettings)), "train vpt-tob"))

@@ -24,10 +24,10 @@ def identity_of(
 ) -> dict[str, Any]:
     """Return all that decides what a training comes to: two with the same identity are one training.
 
-    Left out, as they do not: threads, compiling, where the training set is rendered, the device and its precision (the same sums,
-    rounded otherwise), when checkpoints are written, the commit (it changes with every edit of a page; the card names it), and
-    names. Left out, too, is the length (samples, minutes, and the images of a stream): a training that goes on for longer is
-    still the same one, and its card says how long it was.
+    Excludes what does not change the result: threads, compiling, where the training set is rendered, the device and its precision
+    (the same sums, rounded otherwise), when checkpoints are written, the commit (it changes with every edit of a page; the
+    card names it), and names. Excludes the length, too (samples, minutes, and the images of a stream): a training that goes
+    on for longer is still the same one, and its card says how long it was.
 
     Args:
         recipe: without its length.

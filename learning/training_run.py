@@ -126,7 +126,8 @@ class TrainingRun:
     def resume(self, go_on: bool = True) -> dict[str, Any] | None:
         """Take up what the checkpoint counted and return it whole, with the state that was written into it; None without one.
 
-        Weights that belong to the checkpoint and are gone or damaged are written again.
+        Weights that belong to the checkpoint and are gone or damaged are written again. The card is completed where a training
+        is over but was killed before `finish`.
 
         Args:
             go_on: else begin again, and only see to it that nothing of another training is in the way.
@@ -158,9 +159,8 @@ class TrainingRun:
             raise UserError(
                 f"{self.weights.path} has learnt from {self._so_far} already, all that is asked for or more: choose another --to"
             )
-        if self.group.rank == 0 and self.weights.card is not None and not self.weights.are_whole():
-            self.weights.write(self._came_to)
-            self.say(f"{self.weights.path} was gone or damaged: written again, from the checkpoint")
+        if self.group.rank == 0 and (mended := self.weights.mend(self._came_to, self.is_over)):
+            self.say(mended)
         if self.is_over:
             self.say(f"nothing left to train: {self.weights.path} has learnt from {self._so_far}; ask for more, and it goes on")
         else:

@@ -22,6 +22,17 @@ class AlreadyExists(UserError):
         super().__init__(f"{path} exists already: {remedy}")
 
 
+def refuse_existing(*targets: Path, force: bool) -> None:
+    """Raise before a long computation where its results would overwrite something.
+
+    Raises:
+        AlreadyExists: one of the targets exists, and not `force`.
+    """
+    for target in targets:
+        if not force and os.path.lexists(target):
+            raise AlreadyExists(target, "choose another --to, or replace it with --force")
+
+
 def partial_name(target: Path) -> Path:
     """Return the hidden name beside `target` under which this process writes it."""
     # Whole names: results that differ by their ending alone may be written side by side.

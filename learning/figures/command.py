@@ -29,7 +29,7 @@ from vantage.printable import printable
 class FiguresSettings:
     """Draw the paper's figures: training pair, predicted and true views, methods side by side, value maps, a run, charts.
 
-    Example: vantage figures --data data/dataset --weights weights/ --results results/ --to figures/
+    Example: vantage figures
     """
 
     data: Path = DEFAULT_DATASET

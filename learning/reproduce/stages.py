@@ -23,7 +23,7 @@ class Stage:
     Attributes:
         name: of the stage, its log and its stamp.
         arguments: what follows `vantage`; decides, with the products of `needs`, whether the stage has to run again.
-        aside: more arguments, which change how fast it runs but not what is made.
+        aside: more arguments, which do not change what is made.
         needs: names of the stages whose products go in.
         products: files it leaves.
         scratch: folders that hold its half-done work; emptied where they belong to other arguments.
@@ -255,6 +255,7 @@ def _evaluations(preset: Preset, inputs: dict[str, Inputs]) -> list[Stage]:
             ("evaluate", *asked, *size, *ceiling, *more, "--to", f"@/results/{name}"),
             (f"@/results/{name}.json", f"@/results/{name}.md"),
             (f"gather {kind.name}", *inputs[group.name].trained),
+            aside=("--force",),
             reads=inputs[group.name].given,
             expected=20 + cost,
         )
@@ -283,6 +284,7 @@ def _maps(group: Group, preset: Preset, inputs: Inputs) -> Stage:
         ("evaluate", "maps", *asked, "--horizons", *map(str, preset.map_horizons), *many, *where, "--to", f"@/results/{name}"),
         (f"@/results/{name}.json", f"@/results/{name}.md", f"@/results/{name}.npz"),
         inputs.trained,
+        aside=("--force",),
         reads=inputs.given,
         expected=20 + preset.starts * (1 + 0.3 * preset.simulations + 3 * views),
     )

@@ -17,6 +17,7 @@ from learning.measures import accuracy, area_under_roc
 from learning.methods.table import METHODS
 from learning.provenance import in_one_line, provenance
 from tests.learning.made_weights import play_dataset, save_untrained
+from vantage.output import AlreadyExists, refuse_existing
 
 T = 40
 
@@ -129,6 +130,10 @@ def test_the_whole_command(dataset: Dataset, tmp_path: Path, capsys: pytest.Capt
     assert all(f"| {name} |" in page for name in names)
     assert page.count("oracle: the first 15 examples only") == shown.out.count("oracle: the first 15 examples only") == 6
     assert page.count("view oracle: the first 15 examples only") == 2
+
+    with pytest.raises(AlreadyExists, match=r"accuracy-0.9.json exists already: choose another --to.*--force"):
+        evaluate.main(settings)
+    refuse_existing(to.with_name("accuracy-0.9.json"), force=True)
 
     with pytest.raises(UnusableSettings, match="no method has its weights in"):
         evaluate.main(EvaluateSettings(data=dataset.folder, weights=tmp_path, to=None))

@@ -20,6 +20,7 @@ from learning.gather import MIXTURE, GatherSettings, Refusal, games_needed, plan
 from learning.splits import SPLITS, split_of
 from vantage.errors import UserError
 from vantage.log import find_logs
+from vantage.output import AlreadyExists
 
 SMALL = GatherSettings(train=11, validation=3, test=2, steps=12, block=25, workers=1)
 HIDERS = ("goal-walk", "random", "replay")
@@ -215,6 +216,15 @@ def test_too_few_games_are_told_and_leave_the_old_set(whole: Path, tmp_path: Pat
     assert 9_900 < refused.value.lacking["random"][0] < 10_000
     assert (tmp_path / "set" / "manifest.json").read_bytes() == before
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
+
+
+def test_a_training_set_of_other_making_is_not_replaced(tmp_path: Path) -> None:
+    kept = tmp_path / "dataset" / "manifest.json"
+    kept.parent.mkdir()
+    kept.write_text("{}")
+    with pytest.raises(AlreadyExists, match="dataset exists already: it is not of this set: choose another --to"):
+        gather.main(replace(SMALL, to=tmp_path))
+    assert kept.read_text() == "{}" and [path.name for path in tmp_path.iterdir()] == ["dataset"]
 
 
 def test_an_empty_split_is_warned_of(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -88,7 +88,7 @@ def test_two_seeds_are_two_networks_in_one_command_and_one_row_with_their_spread
     for seed in (1, 2):
         one = tmp_path / f"only{seed}"
         save(networks[seed - 1], one / "hazard.safetensors", cards[seed - 1])
-        assert evaluate.main(replace(asked, weights=one, to=tmp_path / "one")) == 0
+        assert evaluate.main(replace(asked, weights=one, to=tmp_path / "one", force=True)) == 0
         single = json.loads((tmp_path / "one.json").read_text())["results"]
         assert [result["over seeds"]["values"][seed - 1] for result in found] == pytest.approx(
             [result["methods"]["hazard"]["accuracy"] for result in single]
@@ -121,6 +121,10 @@ def test_the_judge_of_each_seed_learns_from_the_predictor_of_that_seed(dataset: 
         views_of(replace(settings, seeds=(1, 3)), Place(3, tmp_path / "x.safetensors", tmp_path))
     one_predictor = replace(settings, views=tmp_path / "vpt-tob-seed1.safetensors")
     assert views_of(one_predictor, Place(2, tmp_path / "x", tmp_path)) == one_predictor.views
+    alone = replace(settings, seeds=(2,))
+    assert views_of(alone, Place(2, tmp_path / "x", tmp_path)) == tmp_path / "vpt-tob-seed2.safetensors"
+    settings.views.write_bytes((tmp_path / "vpt-tob-seed1.safetensors").read_bytes())  # type: ignore[union-attr]
+    assert views_of(alone, Place(2, tmp_path / "x", tmp_path)) == settings.views
 
 
 @pytest.mark.parametrize(

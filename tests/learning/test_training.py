@@ -1,6 +1,8 @@
 """Training end to end on real logs, small: it learns, goes on where it stopped, and its weights answer and are evaluated."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -273,3 +275,11 @@ def test_from_training_to_answers_and_results(
             assert low <= found["accuracy"] <= high
             assert sum(part["examples"] for part in found["by horizon"].values()) == result["examples"]
     assert "majority class" in results.with_suffix(".md").read_text()
+
+
+@pytest.mark.parametrize("words", ["train vpt-tob", "train vpn", "train caught"])
+def test_a_mistake_under_torchrun_is_one_line(words: str, tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "vantage.cli", *words.split(), "--data", str(tmp_path / "none")]  # as torchrun starts it
+    run = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert run.returncode == 1
+    assert run.stderr.startswith(f"vantage {words}: {tmp_path / 'none'} holds no training set") and run.stderr.count("\n") == 1

@@ -196,6 +196,24 @@ def test_nothing_left_to_train_is_one_line_and_the_weights_are_there(tmp_path: P
     assert read_card(weights).sha256 == card.sha256, "the best weights are those of the first sitting"
 
 
+def test_the_card_of_a_training_that_was_killed_before_it_finished_is_completed(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weights = tmp_path / "x.safetensors"
+    killed = new_run(tmp_path, total=40)
+    killed.resume()
+    train(killed, [0.5, 0.9])
+    assert read_card(weights).training["samples"] == 20, "of the best weights"
+    for completed in ([f"{card_path(weights)} was not final: completed, from the checkpoint"], []):
+        capsys.readouterr()
+        again = new_run(tmp_path, total=40)
+        again.resume()
+        assert again.is_over
+        assert capsys.readouterr().out.splitlines()[:-1] == completed
+        training = read_card(weights).training
+        assert (training["samples"], training["minutes"]) == (40, killed.trained / 60)
+
+
 def test_a_full_disk_ends_it_with_one_line_and_keeps_what_was_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     run = new_run(tmp_path, total=40)
     run.resume()

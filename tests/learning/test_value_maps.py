@@ -28,6 +28,7 @@ from learning.value_maps.truth import Case, cases_of, counted, on_grid, seeds_of
 from schemas import Rules
 from services.planner.value_map import checkpoints, choose_goal
 from vantage.errors import UserError
+from vantage.output import AlreadyExists
 from vantage.world.arena import GOALS
 
 
@@ -380,3 +381,10 @@ def test_the_page_shows_the_paper_beside_every_predictor() -> None:
 def test_mistakes_are_answered_in_one_readable_text(settings: EvaluateMapsSettings, told: str) -> None:
     with pytest.raises(UserError, match=told):
         main(settings)
+
+
+def test_results_are_named_in_full_and_not_replaced_without_force(tmp_path: Path) -> None:
+    (tmp_path / "maps.v2.npz").touch()
+    asked = EvaluateMapsSettings(weights=Path("weights"), starts=1, to=tmp_path / "maps.v2")
+    with pytest.raises(AlreadyExists, match=r"maps\.v2\.npz exists already: choose another --to.*--force"):
+        main(asked)
