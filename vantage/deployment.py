@@ -305,6 +305,8 @@ class Deployment:
             wait_until_empty(self.folder, FAREWELL)
         if self._supervisor_pid() and self._supervisor.answers():
             raise DeploymentError(f"{self.name} is up already in {self.folder}: stop it with `{self.command('down')}`")
+        if self._supervisor_pid():  # of a deployment whose `up` or `down` was interrupted: it is ending
+            wait_until_empty(self.folder, STOP_PATIENCE)
         if occupants(self.folder):
             raise self._not_up()
         if taken := [name for name in living_names(self.folder) if name in names]:

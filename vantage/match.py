@@ -25,6 +25,8 @@ REPEAT = 2.0
 """Seconds after which a request that set nothing up is made again: the referee may have been restarted meanwhile."""
 GOODBYE = 0.7
 """Seconds that a game which is stopped may take to end, before the command does."""
+FLIGHT = 0.3
+"""Seconds for a request to reach the bus before the session closes."""
 MOST_GAMES = 1_000_000
 
 
@@ -44,7 +46,7 @@ class Game:
 class Match:
     """A number of games on a bus: asks for them, follows them, and asks again for the rest if the referee was restarted.
 
-    Its games are those that carry its request; who asks again by the same request asks for nothing twice.
+    Its games are those that carry its request; repeating a request is idempotent.
 
     Args:
         bus: an open session named `command-line`.
@@ -61,6 +63,7 @@ class Match:
         """Why no more games follow, although not all have been played."""
         self._plan: Plan | None = None
         self._referee = False
+        self._paused = False  # then the referee sets nothing up
         self._idle_since = time.monotonic()
         self._ask_at = self._idle_since
         self._asked = False
@@ -85,6 +88,8 @@ class Match:
         """
         now = time.monotonic()
         if self.current is None and not self.over:
+            if self._paused:
+                self._idle_since = now
             if now - self._idle_since > PATIENCE:
                 raise DeploymentError(
                     f"no game was set up within {PATIENCE:g} s: look at `vantage status` and `vantage logs referee`"
@@ -103,13 +108,14 @@ class Match:
         return event is not None
 
     def stop(self, reason: str) -> None:
-        """Stop the games, and wait a moment for the end of the one under way."""
+        """Stop the games, and wait a moment for the end of the one under way, or for the request to leave."""
         if not self._asked or self.over:
             return
         self._bus.publish("control", Control(stamp=time.time_ns(), action="stop", request=self._ask.request, reason=reason))
         self.ended_early = reason
-        end = time.monotonic() + GOODBYE
-        while self.current is not None and (left := end - time.monotonic()) > 0:
+        waiting = self.current is not None
+        end = time.monotonic() + (GOODBYE if waiting else FLIGHT)
+        while (self.current is not None or not waiting) and (left := end - time.monotonic()) > 0:
             self.turn(min(left, 0.1))
 
     def _take(self, event: Event) -> None:
@@ -149,12 +155,14 @@ class Match:
         if episode.phase == "setup":
             self.current, self._plan, self.step = episode, None, 0
         elif self.current is not None and episode.episode == self.current.episode:
-            self.current = episode
+            self.current, self._paused = episode, episode.paused
             if episode.phase in ("ended", "aborted"):
                 self._finish(episode)
 
     def _on_control(self, control: Control) -> None:
-        """Take in what others want, and the referee where it stops games: no more of ours follow."""
+        """Handle another participant's request: a start or stop ends this match, a pause holds it up."""
+        if control.action in ("pause", "resume", "start", "stop"):
+            self._paused = control.action == "pause"
         if not self._asked or self.ended_early:
             return
         if control.action == "stop" and control.request in ("", self._ask.request):

@@ -96,7 +96,7 @@ def play(match: Match, page: str = "") -> Sequence[Game]:
 
     Raises:
         DeploymentError: the referee sets no game up.
-        KeyboardInterrupt: somebody wants this command to end; the games have ended.
+        KeyboardInterrupt: a stop signal arrived.
     """
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -196,6 +196,8 @@ def _detach(match: Match, settings: Settings, page: str) -> int:
         if stop_requested():
             raise KeyboardInterrupt
         match.turn()
+    if match.ended_early:
+        raise DeploymentError(f"the games were not begun: {match.ended_early}")
     watch = f"watch at {page}" if page else "see `vantage status`"
     line = f"{_games(settings.games)} from seed {settings.seed} asked for: {watch}, end with `{_command('stop', settings)}`"
     console.print(line, soft_wrap=True, markup=False)

@@ -103,6 +103,7 @@ class RefereeCore:
         if isinstance(received, Changed):
             (self._alive.add if received.alive else self._alive.discard)(received.service)
             self._owner.change(received.service, received.alive, now)
+            self._troubles.change(received.service, received.alive)
             if received.service in WORLD:
                 self._patience.change(received.service, received.alive, now)
             return self._begin_if_possible(now) if self._phase is Phase.IDLE else ()
@@ -270,8 +271,7 @@ class RefereeCore:
             return self._begin_if_possible(now)
         if not self._in_game or self._phase is Phase.SETUP:
             return ()
-        said = self._episode("running", now)
-        return [said, *self._tick_when_due(now)] if self._phase is Phase.PACING else (said,)
+        return [self._episode("running", now), *(self._tick_when_due(now) if self._phase is Phase.PACING else ())]
 
     def _discard(self, number: int, now: int) -> Sequence[Send]:
         if self._in_game and number == self._number:

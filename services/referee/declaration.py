@@ -15,5 +15,5 @@ DECLARATION = Declaration(
     ),
     outputs=("episode", "tick", "control", "health/referee"),
     heeds=("simulator|tracker", "simulator|robot|onboard", "seeker", "planner", "predictor", "recorder"),
-    watches=COMMAND_LINE,
+    watches=(*COMMAND_LINE, *WORLD),
 )

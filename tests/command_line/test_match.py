@@ -8,6 +8,7 @@ import pytest
 
 from schemas import Control, Episode, Players
 from vantage.bus import InProcessBus, InProcessNetwork, Sample
+from vantage.deployment import DeploymentError
 from vantage.match import REPEAT, Game, Match, sentence, wish
 
 
@@ -141,3 +142,20 @@ def test_stopping_stops_no_games_but_its_own(asked: Asked) -> None:
 def test_a_game_is_told_in_one_line(episode: dict[str, object], goal: int | None, expected: str) -> None:
     game = Episode(**{"stamp": 1, "episode": 4, "seed": 7, "phase": "ended", **episode})  # type: ignore[arg-type]
     assert sentence(Game(game, 0.5, goal)) == f"game 4 (seed 7): {expected}"
+
+
+def test_a_pause_between_games_is_waited_out(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = Asked(games=2)
+    request = asked.control.request
+    asked.referee.say(1, "setup", request)
+    asked.referee.say(1, "ended", request, outcome="survived", paused=True)
+    asked.settle()
+    assert len(asked.match.games) == 1
+    later = time.monotonic() + 1000.0
+    monkeypatch.setattr(time, "monotonic", lambda: later)
+    asked.match.turn(0.0)  # a referee that is paused sets nothing up
+    asked.referee.bus.publish("control", Control(stamp=1, action="resume"))
+    asked.settle()
+    later += 1000.0
+    with pytest.raises(DeploymentError, match="no game was set up"):
+        asked.match.turn(0.0)

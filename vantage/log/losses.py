@@ -60,7 +60,7 @@ class Losses:
         add_to(self._noted, name, missed)
 
     def notes_due(self) -> Iterator[tuple[Name, int]]:
-        """Yield what is owed, for a note of each that is put into the open chunk at once."""
+        """Yield the losses without a note; the caller must write one for each."""
         owed, self.owed = self.owed, {}
         for name, missed in owed.items():
             add_to(self._noted, name, missed)
