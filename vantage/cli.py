@@ -42,14 +42,15 @@ _CHECKPOINT = "the same command goes on from the last checkpoint"
 _FIGURES = "finished figures are kept; run it again with --force for all"
 _STAGES = "finished stages are kept; the same command goes on"
 _MEASURED = "what was measured before stays in force; run it again"
+_ENDING = "its services are ending; `vantage status` shows it"
 _FILES = "finished files are kept; run it again for the others"
 
 COMMANDS = (
-    Command("demo", "learning.demo:main", "play one game with trained weights, record it and draw it"),
-    Command("up", "vantage.commands:up", "start a deployment and wait until every service is healthy"),
+    Command("demo", "learning.demo:main", "play one game with trained weights, record it and draw it", _ENDING),
+    Command("up", "vantage.commands:up", "start a deployment and wait until every service is healthy", _ENDING),
     Command("status", "vantage.commands:status", "how each service does: state, restarts, memory, stale inputs"),
     Command("logs", "vantage.commands:logs", "what a service printed"),
-    Command("down", "vantage.commands:down", "stop a deployment"),
+    Command("down", "vantage.commands:down", "stop a deployment", _ENDING),
     Command("check", "vantage.commands:check", "look at deployments without starting them"),
     Command("play", "vantage.play:main", "play games on a running deployment"),
     Command("stop", "vantage.play:stop", "end the games of a running deployment"),

@@ -303,8 +303,10 @@ class Deployment:
     def _refuse_if_occupied(self, names: Collection[str]) -> None:
         if not self._supervisor_pid():
             wait_until_empty(self.folder, FAREWELL)
-        if self._supervisor_pid() and self._supervisor.answers():
+        elif self._supervisor.answers():
             raise DeploymentError(f"{self.name} is up already in {self.folder}: stop it with `{self.command('down')}`")
+        elif self._supervisor.is_ending():  # asked by Ctrl-C in `vantage up`
+            wait_until_empty(self.folder, STOP_PATIENCE)
         if occupants(self.folder):
             raise self._not_up()
         if taken := [name for name in living_names(self.folder) if name in names]:

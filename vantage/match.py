@@ -25,6 +25,8 @@ REPEAT = 2.0
 """Seconds after which a request that set nothing up is made again: the referee may have been restarted meanwhile."""
 GOODBYE = 0.7
 """Seconds that a game which is stopped may take to end, before the command does."""
+DELIVERY = 0.3
+"""Seconds that the bus gets to deliver a `stop` that no game answers, before it may be closed."""
 MOST_GAMES = 1_000_000
 
 
@@ -44,7 +46,7 @@ class Game:
 class Match:
     """A number of games on a bus: asks for them, follows them, and asks again for the rest if the referee was restarted.
 
-    Its games are those that carry its request; who asks again by the same request asks for nothing twice.
+    Its games are those that carry its request. Repeating a request is idempotent.
 
     Args:
         bus: an open session named `command-line`.
@@ -64,6 +66,7 @@ class Match:
         self._idle_since = time.monotonic()
         self._ask_at = self._idle_since
         self._asked = False
+        self._paused = False
         bus.subscribe("episode", "tick", "hider/plan", "control")
         bus.watch()
 
@@ -85,6 +88,8 @@ class Match:
         """
         now = time.monotonic()
         if self.current is None and not self.over:
+            if self._paused:
+                self._idle_since = now  # the referee sets nothing up until it is resumed
             if now - self._idle_since > PATIENCE:
                 raise DeploymentError(
                     f"no game was set up within {PATIENCE:g} s: look at `vantage status` and `vantage logs referee`"
@@ -108,8 +113,9 @@ class Match:
             return
         self._bus.publish("control", Control(stamp=time.time_ns(), action="stop", request=self._ask.request, reason=reason))
         self.ended_early = reason
-        end = time.monotonic() + GOODBYE
-        while self.current is not None and (left := end - time.monotonic()) > 0:
+        began = time.monotonic()
+        least = DELIVERY if self.current is None else 0.0
+        while (left := (least if self.current is None else GOODBYE) - (time.monotonic() - began)) > 0:
             self.turn(min(left, 0.1))
 
     def _take(self, event: Event) -> None:
@@ -138,6 +144,7 @@ class Match:
             return
         self._referee = event.alive
         if not event.alive:
+            self._paused = False
             if self.current is not None:
                 self._finish(msgspec.structs.replace(self.current, phase="aborted", step=self.step, reason="the referee died"))
             # The next referee knows nothing of our wish.
@@ -146,6 +153,7 @@ class Match:
     def _on_episode(self, episode: Episode) -> None:
         if episode.request != self._ask.request:
             return
+        self._paused = episode.paused
         if episode.phase == "setup":
             self.current, self._plan, self.step = episode, None, 0
         elif self.current is not None and episode.episode == self.current.episode:
@@ -154,7 +162,12 @@ class Match:
                 self._finish(episode)
 
     def _on_control(self, control: Control) -> None:
-        """Take in what others want, and the referee where it stops games: no more of ours follow."""
+        """Handle another participant's start or stop: it ends this match. Take note of a pause."""
+        own = control.request == self._ask.request
+        if control.action == "pause":
+            self._paused = True
+        elif control.action == "resume" or (control.action == "start" and not own) or (control.action == "stop" and own):
+            self._paused = False
         if not self._asked or self.ended_early:
             return
         if control.action == "stop" and control.request in ("", self._ask.request):

@@ -1,4 +1,4 @@
-"""The processes of a deployment, found by where they run: files in a folder can be swept away, the processes cannot hide.
+"""Find a deployment's processes by their working directory.
 
 Every process of a deployment has the deployment's folder as its working directory, for as long as it lives.
 """

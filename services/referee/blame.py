@@ -27,6 +27,11 @@ class Troubles:
         """Take in what a service says."""
         self._said[health.service] = health.reason
 
+    def change(self, service: str, alive: bool) -> None:
+        """Forget the troubles of a service that went."""
+        if not alive:
+            self._said.pop(service, None)
+
     def missing(self, alive: Collection[str]) -> list[str]:
         """Return which of the required services are not alive."""
         return [names for names in self._required if not any(name in alive for name in names.split("|"))]

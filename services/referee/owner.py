@@ -18,7 +18,7 @@ class Owner:
         """When the games end, unless the owner is back; None while it is there, or there is none."""
 
     def begin(self, name: str, present: bool, now: int) -> None:
-        """Take note of whose games are asked for, empty for nobody's."""
+        """Set the owner of the games; empty for none."""
         self._name = name
         self.gone_at = now + self._grace if name and not present else None
 

@@ -1,6 +1,7 @@
 """Why a game was aborted, other than for a service that failed, in the words that `Episode.reason` has."""
 
 from schemas import REASON_LIMIT
+from vantage.printable import shortened
 
 STOPPED = "stopped on request"
 OWNER_GONE = "the command that asked for these games has ended"
@@ -12,7 +13,7 @@ _STOPPED_FOR = "stopped: "
 
 def stopped(why: str) -> str:
     """Return the reason of a game that was stopped, with the reason that was given for that."""
-    return f"{_STOPPED_FOR}{why}"[:REASON_LIMIT] if why else STOPPED
+    return shortened(f"{_STOPPED_FOR}{why}", REASON_LIMIT) if why else STOPPED
 
 
 def is_on_request(reason: str) -> bool:

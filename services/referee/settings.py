@@ -45,8 +45,8 @@ class RefereeSettings:
     """Seconds to wait for the poses after a step, counted while those who embody the robots are able to answer."""
     outage_patience: float = 20.0
     """Seconds for which a service that is away or silent in mid-game is waited for, where its answer is."""
-    owner_patience: float = 1.0
-    """Seconds within which whoever asked for games may come back to the bus, before they are stopped."""
     slow_patience: float = 20.0
-    """Seconds to wait for them instead while a service says that this machine is too slow: games slow down then. Robots' commands
-    get a quarter of it more, the first ones three times their patience."""
+    """Seconds to wait for poses, and for a robot's command a quarter of it, while a service reports that this machine is too
+    slow: games slow down then. The first commands of a game get three times `planning_patience`."""
+    owner_patience: float = 1.0
+    """Seconds before the games of a disconnected owner are stopped."""

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 
 import pytest
 
 from schemas import Control, Episode, Players
 from vantage.bus import InProcessBus, InProcessNetwork, Sample
-from vantage.match import REPEAT, Game, Match, sentence, wish
+from vantage.deployment import DeploymentError
+from vantage.match import DELIVERY, PATIENCE, REPEAT, Game, Match, sentence, wish
 
 
 class Referee:
@@ -127,6 +129,42 @@ def test_stopping_stops_no_games_but_its_own(asked: Asked) -> None:
     asked.match.stop("enough")
     (control,) = asked.referee.asked()
     assert (control.action, control.request, control.reason) == ("stop", asked.control.request, "enough")
+
+
+def wait_past_the_patience(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = time.monotonic() + PATIENCE + 1.0
+    with monkeypatch.context() as patched:
+        patched.setattr("vantage.match.time.monotonic", lambda: late)
+        asked.match.turn(0.0)
+
+
+def test_a_pause_before_the_first_game_is_not_taken_for_a_referee_that_does_nothing(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    console = asked.network.session("console")
+    console.publish("control", Control(stamp=1, action="pause"))
+    asked.settle()
+    wait_past_the_patience(asked, monkeypatch)
+    console.publish("control", Control(stamp=1, action="resume"))
+    asked.settle()
+    with pytest.raises(DeploymentError, match="no game was set up"):
+        wait_past_the_patience(asked, monkeypatch)
+
+
+@pytest.mark.parametrize("paused", [True, False])
+def test_a_pause_that_outlasts_a_game_does_not_end_the_match(asked: Asked, monkeypatch: pytest.MonkeyPatch, paused: bool) -> None:
+    for phase in ("setup", "running", "ended"):
+        asked.referee.say(1, phase, asked.control.request, paused=paused and phase == "ended")
+    asked.settle()
+    with nullcontext() if paused else pytest.raises(DeploymentError, match="no game was set up"):
+        wait_past_the_patience(asked, monkeypatch)
+
+
+def test_a_stop_before_the_first_game_has_time_to_be_delivered(asked: Asked) -> None:
+    began = time.monotonic()
+    asked.match.stop("enough")
+    assert time.monotonic() - began >= DELIVERY
+    assert [control.action for control in asked.referee.asked()] == ["stop"]
 
 
 @pytest.mark.parametrize(

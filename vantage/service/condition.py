@@ -131,7 +131,7 @@ class Condition:
             self._flowing_since = now
 
     def report(self, state: str, now: int) -> Health:
-        """Return what the service has to say of itself.
+        """Return the health report.
 
         Args:
             state: `ok` becomes `degraded` where something is wrong.
