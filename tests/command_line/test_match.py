@@ -8,6 +8,7 @@ from contextlib import nullcontext
 import pytest
 
 from schemas import Control, Episode, Players
+from vantage import play
 from vantage.bus import InProcessBus, InProcessNetwork, Sample
 from vantage.deployment import DeploymentError
 from vantage.match import DELIVERY, PATIENCE, REPEAT, Game, Match, sentence, wish
@@ -179,3 +180,9 @@ def test_a_stop_before_the_first_game_has_time_to_be_delivered(asked: Asked) -> 
 def test_a_game_is_told_in_one_line(episode: dict[str, object], goal: int | None, expected: str) -> None:
     game = Episode(**{"stamp": 1, "episode": 4, "seed": 7, "phase": "ended", **episode})  # type: ignore[arg-type]
     assert sentence(Game(game, 0.5, goal)) == f"game 4 (seed 7): {expected}"
+
+
+def test_detached_games_that_were_stopped_are_no_success(asked: Asked) -> None:
+    asked.network.session("console").publish("control", Control(stamp=1, action="stop", reason="enough"))
+    with pytest.raises(DeploymentError, match="stopped: enough"):
+        play._detach(asked.match, play.Settings(detach=True), "")
