@@ -44,6 +44,7 @@ _CHECKPOINT = "the same command goes on from the last checkpoint"
 _FIGURES = "finished figures are kept; run it again with --force for all"
 _STAGES = "finished stages are kept; the same command goes on"
 _MEASURED = "what was measured before stays in force; run it again"
+_ENDING = "its services are ending; `vantage status` shows it"
 _FILES = "finished files are kept; run it again for the others"
 
 COMMANDS = (

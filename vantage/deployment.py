@@ -303,9 +303,9 @@ class Deployment:
     def _refuse_if_occupied(self, names: Collection[str]) -> None:
         if not self._supervisor_pid():
             wait_until_empty(self.folder, FAREWELL)
-        if self._supervisor_pid() and self._supervisor.answers():
+        elif self._supervisor.answers():
             raise DeploymentError(f"{self.name} is up already in {self.folder}: stop it with `{self.command('down')}`")
-        if self._supervisor_pid():  # of a deployment whose `up` or `down` was interrupted: it is ending
+        elif self._supervisor.is_ending():  # asked by Ctrl-C in `vantage up`
             wait_until_empty(self.folder, STOP_PATIENCE)
         if occupants(self.folder):
             raise self._not_up()
@@ -354,10 +354,8 @@ def _check_recordings(folder: Path) -> None:
     Raises:
         DeploymentError: that is impossible; the text has the reason.
     """
-    from vantage.log.part import FOLDER_MODE  # other commands must not wait for what it imports
-
     try:
-        folder.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
+        folder.mkdir(0o750, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
             probe.write(bytes(65536))
             probe.flush()

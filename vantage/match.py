@@ -19,14 +19,14 @@ from vantage.printable import printable
 
 SeekerPreset = Literal["glancing", "expert"]
 
-PATIENCE = 60.0
+PATIENCE = 15.0
 """Seconds within which the referee must set a game up."""
 REPEAT = 2.0
 """Seconds after which a request that set nothing up is made again: the referee may have been restarted meanwhile."""
 GOODBYE = 0.7
 """Seconds that a game which is stopped may take to end, before the command does."""
-FLIGHT = 0.3
-"""Seconds for a request to reach the bus before the session closes."""
+DELIVERY = 0.3
+"""Seconds that the bus gets to deliver a `stop` that no game answers, before it may be closed."""
 MOST_GAMES = 1_000_000
 
 
@@ -46,7 +46,7 @@ class Game:
 class Match:
     """A number of games on a bus: asks for them, follows them, and asks again for the rest if the referee was restarted.
 
-    Its games are those that carry its request; repeating a request is idempotent.
+    Its games are those that carry its request. Repeating a request is idempotent.
 
     Args:
         bus: an open session named `command-line`.
@@ -63,10 +63,10 @@ class Match:
         """Why no more games follow, although not all have been played."""
         self._plan: Plan | None = None
         self._referee = False
-        self._paused = False  # then the referee sets nothing up
         self._idle_since = time.monotonic()
         self._ask_at = self._idle_since
         self._asked = False
+        self._paused = False
         bus.subscribe("episode", "tick", "hider/plan", "control")
         bus.watch()
 
@@ -89,7 +89,7 @@ class Match:
         now = time.monotonic()
         if self.current is None and not self.over:
             if self._paused:
-                self._idle_since = now
+                self._idle_since = now  # the referee sets nothing up until it is resumed
             if now - self._idle_since > PATIENCE:
                 raise DeploymentError(
                     f"no game was set up within {PATIENCE:g} s: look at `vantage status` and `vantage logs referee`"
@@ -108,14 +108,14 @@ class Match:
         return event is not None
 
     def stop(self, reason: str) -> None:
-        """Stop the games, and wait a moment for the end of the one under way, or for the request to leave."""
+        """Stop the games, and wait a moment for the end of the one under way."""
         if not self._asked or self.over:
             return
         self._bus.publish("control", Control(stamp=time.time_ns(), action="stop", request=self._ask.request, reason=reason))
         self.ended_early = reason
-        waiting = self.current is not None
-        end = time.monotonic() + (GOODBYE if waiting else FLIGHT)
-        while (self.current is not None or not waiting) and (left := end - time.monotonic()) > 0:
+        began = time.monotonic()
+        least = DELIVERY if self.current is None else 0.0
+        while (left := (least if self.current is None else GOODBYE) - (time.monotonic() - began)) > 0:
             self.turn(min(left, 0.1))
 
     def _take(self, event: Event) -> None:
@@ -144,6 +144,7 @@ class Match:
             return
         self._referee = event.alive
         if not event.alive:
+            self._paused = False
             if self.current is not None:
                 self._finish(msgspec.structs.replace(self.current, phase="aborted", step=self.step, reason="the referee died"))
             # The next referee knows nothing of our wish.
@@ -152,17 +153,21 @@ class Match:
     def _on_episode(self, episode: Episode) -> None:
         if episode.request != self._ask.request:
             return
+        self._paused = episode.paused
         if episode.phase == "setup":
             self.current, self._plan, self.step = episode, None, 0
         elif self.current is not None and episode.episode == self.current.episode:
-            self.current, self._paused = episode, episode.paused
+            self.current = episode
             if episode.phase in ("ended", "aborted"):
                 self._finish(episode)
 
     def _on_control(self, control: Control) -> None:
-        """Handle another participant's request: a start or stop ends this match, a pause holds it up."""
-        if control.action in ("pause", "resume", "start", "stop"):
-            self._paused = control.action == "pause"
+        """Handle another participant's start or stop: it ends this match. Take note of a pause."""
+        own = control.request == self._ask.request
+        if control.action == "pause":
+            self._paused = True
+        elif control.action == "resume" or (control.action == "start" and not own) or (control.action == "stop" and own):
+            self._paused = False
         if not self._asked or self.ended_early:
             return
         if control.action == "stop" and control.request in ("", self._ask.request):

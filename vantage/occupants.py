@@ -1,4 +1,4 @@
-"""Find a deployment's processes by their working directory: its files can be swept away, its processes cannot.
+"""Find a deployment's processes by their working directory.
 
 Every process of a deployment has the deployment's folder as its working directory, for as long as it lives.
 """

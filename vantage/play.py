@@ -96,7 +96,7 @@ def play(match: Match, page: str = "") -> Sequence[Game]:
 
     Raises:
         DeploymentError: the referee sets no game up.
-        KeyboardInterrupt: a stop signal arrived.
+        KeyboardInterrupt: a stop signal arrived; the games have ended.
     """
     columns = (
         TextColumn("{task.description}", markup=False),
@@ -191,13 +191,17 @@ def main(settings: Settings) -> int:
 
 
 def _detach(match: Match, settings: Settings, page: str) -> int:
-    """Return once the first game is set up."""
+    """Return once the first game is set up.
+
+    Raises:
+        DeploymentError: another participant stopped the games first.
+    """
     while match.current is None and not match.over:
         if stop_requested():
             raise KeyboardInterrupt
         match.turn()
     if match.ended_early:
-        raise DeploymentError(f"the games were not begun: {match.ended_early}")
+        raise DeploymentError(f"the games were stopped: {match.ended_early}")
     watch = f"watch at {page}" if page else "see `vantage status`"
     line = f"{_games(settings.games)} from seed {settings.seed} asked for: {watch}, end with `{_command('stop', settings)}`"
     console.print(line, soft_wrap=True, markup=False)

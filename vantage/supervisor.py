@@ -24,6 +24,8 @@ START_PATIENCE = 10.0
 """Seconds within which it must answer for the first time."""
 PATIENCE = 5.0
 """Seconds that an answer may take."""
+_SHUTDOWN_STATE = 6
+"""Fault by which it refuses every request once it was asked to end (`supervisor.xmlrpc.Faults`)."""
 
 Unreachable = (OSError, http.client.HTTPException, xmlrpc.client.Error)
 """Raised by every request when supervisord is gone, does not answer in time, or has lost its socket."""
@@ -73,14 +75,28 @@ class Supervisor:
             return False
         return True
 
+    def is_ending(self) -> bool:
+        """Return whether supervisord was asked to end, and waits for its processes to do so."""
+        try:
+            self._server().getState()
+        except xmlrpc.client.Fault as fault:
+            return fault.faultCode == _SHUTDOWN_STATE
+        except Unreachable:
+            return False
+        return False
+
     def rows(self) -> list[dict[str, Any]]:
         """Return supervisord's own description of each process."""
         rows: list[dict[str, Any]] = self._server().getAllProcessInfo()
         return rows
 
     def shutdown(self) -> None:
-        """Ask it to end every process, and then itself."""
-        self._server().shutdown()
+        """Ask it to end every process, and then itself; it may be doing so already."""
+        try:
+            self._server().shutdown()
+        except xmlrpc.client.Fault as fault:
+            if fault.faultCode != _SHUTDOWN_STATE:
+                raise
 
     def _server(self) -> Any:
         return xmlrpc.client.ServerProxy("http://localhost", transport=_Transport(self._socket)).supervisor

@@ -28,7 +28,7 @@ class Troubles:
         self._said[health.service] = health.reason
 
     def change(self, service: str, alive: bool) -> None:
-        """Take note of a service that came or went; what it reported before it left is dropped."""
+        """Forget the troubles of a service that went."""
         if not alive:
             self._said.pop(service, None)
 

@@ -29,7 +29,7 @@ from typing import Any, cast
 from schemas import ROBOTS, Command, Control, Health, Layout, Pose, Robot, Tick
 from services.referee import reasons
 from services.referee.blame import Troubles
-from services.referee.declaration import DECLARATION, WORLD
+from services.referee.declaration import DECLARATION, OWNERS, WORLD
 from services.referee.drivers import HUMAN, HiderDrivers
 from services.referee.owner import Owner
 from services.referee.patience import Patience
@@ -112,7 +112,7 @@ class RefereeCore:
         return ()
 
     def _stop_for_owner(self, now: int) -> Sequence[Send]:
-        """Stop the games of a participant that has left the bus, by the message that everybody hears who listens to wishes."""
+        """Stop the games of a participant that has left the bus, by publishing a `stop` on `control`."""
         if self._owner.gone_at is None or now < self._owner.gone_at:
             return ()
         self._owner.end()
@@ -184,8 +184,7 @@ class RefereeCore:
             self._wait_for_poses(now)
             return (Publish("tick", Tick(stamp=now, episode=self._number, step=self._step, late=late)),)
         if self._phase is Phase.POSES:
-            waited = (now - self._commanded_at) / SECOND
-            return self._give_up(f"step {self._step} was not executed within {waited:.0f} s", now)
+            return self._give_up(f"step {self._step} was not executed within {(now - self._commanded_at) / SECOND:.0f} s", now)
         return ()
 
     def _overdue_at(self, now: int) -> int:
@@ -227,8 +226,8 @@ class RefereeCore:
             return self._discard(control.episode, now)
         if control.action == "seek":
             raise Unexpected("seek is for the replay of a log: games go forward only")
-        if control.owner and not (control.request and control.owner in self.declaration.watches):
-            raise Unexpected(f"start: games of {control.owner} need a request, and an owner among {self.declaration.watches}")
+        if control.owner and not (control.request and control.owner in OWNERS):
+            raise Unexpected(f"start: games of {control.owner} need a request, and an owner among {OWNERS}")
         if control.action == "start" and control.request in self._known:
             return ()
         if control.request:

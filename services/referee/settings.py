@@ -46,7 +46,7 @@ class RefereeSettings:
     outage_patience: float = 20.0
     """Seconds for which a service that is away or silent in mid-game is waited for, where its answer is."""
     slow_patience: float = 20.0
-    """Seconds to wait for poses while a service reports that this machine is too slow: games slow down then. Robots' commands
-    get a quarter of it more, the first ones three times their patience."""
+    """Seconds to wait for poses, and for a robot's command a quarter of it, while a service reports that this machine is too
+    slow: games slow down then. The first commands of a game get three times `planning_patience`."""
     owner_patience: float = 1.0
     """Seconds before the games of a disconnected owner are stopped."""

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 
 import pytest
 
 from schemas import Control, Episode, Players
+from vantage import play
 from vantage.bus import InProcessBus, InProcessNetwork, Sample
 from vantage.deployment import DeploymentError
-from vantage.match import REPEAT, Game, Match, sentence, wish
+from vantage.match import DELIVERY, PATIENCE, REPEAT, Game, Match, sentence, wish
 
 
 class Referee:
@@ -130,6 +132,42 @@ def test_stopping_stops_no_games_but_its_own(asked: Asked) -> None:
     assert (control.action, control.request, control.reason) == ("stop", asked.control.request, "enough")
 
 
+def wait_past_the_patience(asked: Asked, monkeypatch: pytest.MonkeyPatch) -> None:
+    late = time.monotonic() + PATIENCE + 1.0
+    with monkeypatch.context() as patched:
+        patched.setattr("vantage.match.time.monotonic", lambda: late)
+        asked.match.turn(0.0)
+
+
+def test_a_pause_before_the_first_game_is_not_taken_for_a_referee_that_does_nothing(
+    asked: Asked, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    console = asked.network.session("console")
+    console.publish("control", Control(stamp=1, action="pause"))
+    asked.settle()
+    wait_past_the_patience(asked, monkeypatch)
+    console.publish("control", Control(stamp=1, action="resume"))
+    asked.settle()
+    with pytest.raises(DeploymentError, match="no game was set up"):
+        wait_past_the_patience(asked, monkeypatch)
+
+
+@pytest.mark.parametrize("paused", [True, False])
+def test_a_pause_that_outlasts_a_game_does_not_end_the_match(asked: Asked, monkeypatch: pytest.MonkeyPatch, paused: bool) -> None:
+    for phase in ("setup", "running", "ended"):
+        asked.referee.say(1, phase, asked.control.request, paused=paused and phase == "ended")
+    asked.settle()
+    with nullcontext() if paused else pytest.raises(DeploymentError, match="no game was set up"):
+        wait_past_the_patience(asked, monkeypatch)
+
+
+def test_a_stop_before_the_first_game_has_time_to_be_delivered(asked: Asked) -> None:
+    began = time.monotonic()
+    asked.match.stop("enough")
+    assert time.monotonic() - began >= DELIVERY
+    assert [control.action for control in asked.referee.asked()] == ["stop"]
+
+
 @pytest.mark.parametrize(
     ("episode", "goal", "expected"),
     [
@@ -144,18 +182,7 @@ def test_a_game_is_told_in_one_line(episode: dict[str, object], goal: int | None
     assert sentence(Game(game, 0.5, goal)) == f"game 4 (seed 7): {expected}"
 
 
-def test_a_pause_between_games_is_waited_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked = Asked(games=2)
-    request = asked.control.request
-    asked.referee.say(1, "setup", request)
-    asked.referee.say(1, "ended", request, outcome="survived", paused=True)
-    asked.settle()
-    assert len(asked.match.games) == 1
-    later = time.monotonic() + 1000.0
-    monkeypatch.setattr(time, "monotonic", lambda: later)
-    asked.match.turn(0.0)  # a referee that is paused sets nothing up
-    asked.referee.bus.publish("control", Control(stamp=1, action="resume"))
-    asked.settle()
-    later += 1000.0
-    with pytest.raises(DeploymentError, match="no game was set up"):
-        asked.match.turn(0.0)
+def test_detached_games_that_were_stopped_are_no_success(asked: Asked) -> None:
+    asked.network.session("console").publish("control", Control(stamp=1, action="stop", reason="enough"))
+    with pytest.raises(DeploymentError, match="stopped: enough"):
+        play._detach(asked.match, play.Settings(detach=True), "")

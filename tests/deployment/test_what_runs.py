@@ -16,6 +16,7 @@ from tests.deployment.conftest import Small
 from vantage.bus.names import is_held
 from vantage.bus.zenoh_bus import ZenohBus
 from vantage.deployment import Deployment, DeploymentError, Stopped
+from vantage.supervisor import Supervisor
 
 VANTAGE = Path(sys.executable).parent / "vantage"
 
@@ -126,6 +127,20 @@ def test_a_second_start_is_refused_and_harms_nothing(small: Small) -> None:
     assert sorted(path.name for path in small.folder.iterdir()) == before
     assert small.named("referee")[0].pid == referee
     assert small.deployment.stop() == Stopped(supervisor=True)
+
+
+def test_a_start_waits_for_a_deployment_that_is_ending(small: Small) -> None:
+    small.start()
+    small.wait_for_service()
+    (before,) = small.named("supervisord")
+    (referee,) = small.named("referee")
+    os.kill(referee.pid, signal.SIGSTOP)  # it ends by force only, after some seconds
+    Supervisor(small.folder).shutdown()
+    assert Supervisor(small.folder).is_ending()
+    Supervisor(small.folder).shutdown()
+    small.start()
+    (supervisor,) = small.named("supervisord")
+    assert supervisor.pid != before.pid
 
 
 def test_a_name_that_is_taken_on_the_bus_is_one_line_and_its_socket_stays(small: Small) -> None:

@@ -1,6 +1,7 @@
 """The referee tells why a game was given up: whose fault it is, in that service's own words."""
 
 from schemas import Episode, Rules
+from services.referee import reasons
 from services.referee.core import RefereeCore, RefereeSettings
 from tests.services.referee_table import REAL, Table, trouble
 from vantage.service import SECOND, Changed, Woken
@@ -122,3 +123,8 @@ def test_the_first_commands_are_waited_for_longer_on_a_machine_that_is_too_slow(
     (aborted,) = ended
     assert isinstance(aborted, Episode) and aborted.phase == "aborted"
     assert aborted.reason.startswith("no command from the hider or the seeker for step 0; tracker: this machine is too slow")
+
+
+def test_the_reason_of_a_stop_is_not_cut_in_mid_word() -> None:
+    reason = reasons.stopped("enough " * 60)
+    assert len(reason) <= 200 and reason.endswith(" enough…")

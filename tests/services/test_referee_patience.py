@@ -73,3 +73,23 @@ def test_a_set_up_waits_for_a_world_that_is_restarted() -> None:
     table.pose("hider", 0.2, 0)
     running, _ = table.pose("seeker", 0.6, 0)
     assert isinstance(running, Episode) and running.phase == "running"
+
+
+def test_a_rehearsal_that_is_gone_does_not_hold_up_the_simulator_that_is_there() -> None:
+    table = commanded()
+    assert "rehearsal" in table.core.declaration.participants
+    table.send(trouble("rehearsal", "", "ok"))
+    table.send(Changed("rehearsal", False))
+    asked = table.now
+    (aborted,) = table.wait(WELL)
+    assert isinstance(aborted, Episode) and table.now == asked + 3 * SECOND
+
+
+def test_a_service_that_is_gone_no_longer_slows_the_games_down() -> None:
+    table = commanded()
+    table.send(trouble("rehearsal", "this machine is too slow: load 12.0 on 2 cores"))
+    table.send(Changed("rehearsal", False))
+    asked = table.now
+    (aborted,) = table.wait(WELL)
+    assert isinstance(aborted, Episode) and table.now == asked + 3 * SECOND
+    assert "too slow" not in aborted.reason
