@@ -37,7 +37,6 @@ class Command:
     kept: str = ""
 
 
-_ENDING = "its services are ending; `vantage status` shows it"
 _LOGS = "finished logs are kept; the same command goes on"
 _NOTHING = "nothing was written; run it again"
 _CHECKPOINT = "the same command goes on from the last checkpoint"

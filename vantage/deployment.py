@@ -354,8 +354,10 @@ def _check_recordings(folder: Path) -> None:
     Raises:
         DeploymentError: that is impossible; the text has the reason.
     """
+    from vantage.log.part import FOLDER_MODE  # other commands must not wait for what it imports
+
     try:
-        folder.mkdir(0o750, parents=True, exist_ok=True)
+        folder.mkdir(FOLDER_MODE, parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=folder) as probe:
             probe.write(bytes(65536))
             probe.flush()

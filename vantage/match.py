@@ -19,7 +19,7 @@ from vantage.printable import printable
 
 SeekerPreset = Literal["glancing", "expert"]
 
-PATIENCE = 15.0
+PATIENCE = 60.0
 """Seconds within which the referee must set a game up."""
 REPEAT = 2.0
 """Seconds after which a request that set nothing up is made again: the referee may have been restarted meanwhile."""
