@@ -50,7 +50,7 @@ def recorded(said: Sequence[tuple[str, Message | bytes]], gaps: Sequence[int], s
     for number, (key, message) in enumerate(said):
         time += max(1, gaps[number % len(gaps)])
         payload = message if isinstance(message, bytes) else encode(message)
-        records.append(Record(key, PUBLISHERS.get(key, "nobody"), number, time, time, payload))
+        records.append(Record(key, PUBLISHERS.get(key, "nobody"), number, time, time, payload, (key, message) != MALFORMED))
     return records
 
 
@@ -73,4 +73,4 @@ class ListedSource:
         return iter([record for record in self.all if record.log_time > after])
 
     def latest(self, position: int) -> Mapping[str, Record]:
-        return {record.key: record for record in self.all if record.log_time <= position}
+        return {record.key: record for record in self.all if record.log_time <= position and record.well_formed}

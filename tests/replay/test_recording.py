@@ -13,7 +13,7 @@ from mcap.opcode import Opcode
 from mcap.writer import Writer
 
 from schemas import Message, PredictRequest
-from tests.replay.games import MILLISECOND, ListedSource, game, recorded
+from tests.replay.games import MALFORMED, MILLISECOND, ListedSource, game, recorded
 from vantage.log import LogWriter, Record
 from vantage.log.reader import find_logs
 from vantage.replay.recording import Recording, find_parts
@@ -32,6 +32,7 @@ def write(path: Path, records: list[Record], chunk_size: int = 2000, split_bytes
                 publish_time=record.publish_time,
                 sequence=record.sequence,
                 publisher=record.publisher,
+                well_formed=record.well_formed,
             )
     return records
 
@@ -168,4 +169,14 @@ def test_the_planners_question_is_found_behind_a_viewers(tmp_path: Path) -> None
     write(tmp_path / "run.mcap", made([("predictor/request", question), ("predictor/request", of_viewer), *game(1, 1, 3, "")]))
     recording = Recording(*find_parts(tmp_path))
     assert recording.latest(recording.end)["predictor/request"].decode() == question
+    recording.close()
+
+
+def test_a_malformed_message_does_not_hide_the_one_before(tmp_path: Path) -> None:
+    records = recorded([*game(1, 5, 2, "ended")[:-1], MALFORMED], [MILLISECOND])
+    ticks = [record for record in records if record.key == "tick"]
+    assert not ticks[-1].well_formed
+    write(tmp_path / "run.mcap", records)
+    recording = Recording(tmp_path / "run.mcap")
+    assert recording.latest(recording.end)["tick"] == ticks[-2]
     recording.close()

@@ -75,12 +75,13 @@ class Recording:
         return self._log.records(after=after)
 
     def latest(self, position: int) -> dict[str, Record]:
-        """Return key -> the last message that was recorded at `position` (ns) or before."""
+        """Return key -> the last message that was recorded at `position` (ns) or before; malformed ones hide none."""
         found: dict[str, Record] = {}
         for file in reversed(self._log.files):
             chunks = [chunk for chunk in file.chunks if chunk.start <= position]
             for chunk in sorted(chunks, key=lambda chunk: chunk.end, reverse=True):
-                keys = {id: file.channels[id].topic for id in self._ids_in(file, chunk)}
+                channels = {id: file.channels[id] for id in self._ids_in(file, chunk)}
+                keys = {id: channel.topic for id, channel in channels.items() if channel.message_encoding}
                 wanted = {id for id, key in keys.items() if key not in found or found[key].log_time < min(chunk.end, position)}
                 if not wanted:
                     continue
@@ -88,10 +89,8 @@ class Recording:
                     if id in wanted and log_time <= position and _says_how_it_stands(keys[id], payload):
                         known = found.get(keys[id])
                         if known is None or known.log_time < log_time:
-                            channel = file.channels[id]
-                            publisher = channel.metadata.get("publisher", "")
-                            well_formed = channel.message_encoding != ""
-                            found[keys[id]] = Record(keys[id], publisher, sequence, log_time, publish_time, payload, well_formed)
+                            publisher = channels[id].metadata.get("publisher", "")
+                            found[keys[id]] = Record(keys[id], publisher, sequence, log_time, publish_time, payload)
         return found
 
     def close(self) -> None:
