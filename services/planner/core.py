@@ -38,6 +38,8 @@ from vantage.world.motion import heading_number
 
 _RETRY = SECOND // 2
 
+JOINED = ("hider/pose", "hider/depth", "hider/color", "tick")
+
 
 @dataclass(frozen=True)
 class PlannerSettings:
@@ -79,7 +81,7 @@ class PlannerCore:
         self._settings = settings or PlannerSettings()
         if self._settings.checkpoint_interval < 1 or self._settings.maximum_horizon < 1:
             raise ValueError("--checkpoint-interval and --maximum-horizon must be at least 1 step")
-        self._join = StepJoin(("hider/pose", "hider/depth", "hider/color", "tick"))
+        self._join = StepJoin(JOINED)
         self._episode: Episode | None = None
         self._layout: Layout | None = None
         self._controller = Controller()
@@ -108,6 +110,8 @@ class PlannerCore:
             self._layout = message
             return ()
         if self._episode is None and message.episode == self._join.episode and not isinstance(message, Episode):
+            if received.key in JOINED:
+                self._join.keep(received.key, message)
             return ()  # the game is over, or somebody else's
         if isinstance(message, Tick) and message.late:
             if message.episode == self._join.episode and "hider" in message.late:

@@ -392,3 +392,18 @@ def test_arrived_messages_reach_the_core() -> None:
     bus.session("referee").publish("tick", tick(4, 2))
     runtime.drain()
     assert core.received == [Arrived("tick", tick(4, 2))]
+
+
+@pytest.mark.parametrize("over", [2, 1])
+def test_who_goes_back_with_a_replay_joins_there_whatever_comes_first(over: int) -> None:
+    """Topics are not ordered among each other: what belongs to the episode gone back to may come before the episode."""
+    join = StepJoin(KEYS)
+    join.begin(over)
+    for step in range(10):
+        join.add("hider/pose", pose(over, step))
+        join.add("tick", tick(over, step))
+    with pytest.raises(Unexpected, match="late"):
+        join.add("hider/pose", pose(1, 4))
+    assert join.begin(1) is None
+    assert join.add("tick", tick(1, 4)) == (pose(1, 4), tick(1, 4))
+    assert join.begin(1) is None, "nothing is left of it"

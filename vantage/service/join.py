@@ -12,7 +12,8 @@ class StepJoin:
     """Collects the messages of one step until all of `keys` are there, whatever order they come in.
 
     Different publishers are not ordered among each other: a pose of the next episode may come before the episode itself,
-    so a few early messages are kept. A step that lost a message is forgotten with the next one that is complete.
+    so a few early messages are kept. A replay may go back to an earlier episode or step: what seems late since the last `begin`
+    is kept, too, for the next one. A step that lost a message is forgotten with the next one that is complete.
     """
 
     EARLY = 32
@@ -23,6 +24,7 @@ class StepJoin:
         self._episode = 0
         self._next_step = 0
         self._waiting: OrderedDict[tuple[int, int], dict[str, Message]] = OrderedDict()
+        self._late: OrderedDict[tuple[int, int], dict[str, Message]] = OrderedDict()
 
     @property
     def episode(self) -> int:
@@ -34,6 +36,10 @@ class StepJoin:
         self._episode = episode
         self._next_step = 0
         self._forget_before(episode, 0)
+        late, self._late = self._late, OrderedDict()
+        for place, joined in late.items():
+            if place[0] == episode:
+                self._waiting[place] = joined | self._waiting.get(place, {})
         for place in sorted((place for place in self._waiting if place[0] == episode), reverse=True):
             complete = self._take(place)
             if complete is not None:
@@ -48,6 +54,7 @@ class StepJoin:
         """
         place = (message.episode, message.step)
         if message.episode < self._episode or (message.episode == self._episode and message.step < self._next_step):
+            self.keep(key, message)
             raise Unexpected(f"{key} of episode {message.episode} step {message.step} came late")
         joined = self._waiting.setdefault(place, {})
         if key in joined:
@@ -60,6 +67,12 @@ class StepJoin:
         if message.episode != self._episode or self._episode == 0:
             return None
         return self._take(place)
+
+    def keep(self, key: str, message: Message) -> None:
+        """Keep a message of a game that is over, or of an earlier step, in case a replay is about to begin there."""
+        self._late.setdefault((message.episode, message.step), {})[key] = message
+        if len(self._late) > self.EARLY:
+            self._late.popitem(last=False)
 
     def _take(self, place: tuple[int, int]) -> tuple[Message, ...] | None:
         joined = self._waiting.get(place, {})
