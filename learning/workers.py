@@ -9,6 +9,7 @@ import traceback
 from collections import deque
 from collections.abc import Callable, Generator, Sequence
 from dataclasses import dataclass
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from typing import TypeVar, cast
@@ -119,6 +120,7 @@ def _start(function: Callable[[Task], Result], processes: list[BaseProcess]) -> 
     It inherits blocked signals, so that Ctrl-C while it imports what it needs leaves no traceback (see `follow_parent`).
     """
     context = multiprocessing.get_context("spawn")
+    resource_tracker.ensure_running()  # else `start` does so, and that unblocks signals
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(function, theirs), daemon=True)
     with stop_deferred():

@@ -49,7 +49,7 @@ class Match:
     Its games are those that carry its request. Repeating a request is idempotent.
 
     Args:
-        bus: an open session named `command-line`.
+        bus: an open session named `command-line`, used for nothing else.
         ask: what to ask for.
     """
 

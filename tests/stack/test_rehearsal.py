@@ -141,6 +141,7 @@ def test_a_line_unplugged_aborts_the_game_with_the_reason_and_the_next_one_is_pl
         assert "seeker" in episode.reason, episode.reason
         unplug(rehearsal)
         rehearsal.wait_until_healthy(watch)
+    with ZenohBus("command-line", rehearsal.folder) as bus:
         again = Match(bus, wish(seed=SEED, games=1, steps=2, period=0.25))
         follow(again, lambda: bool(again.games), "a game after that")
         assert again.games[0].episode.phase == "ended", again.games[0].episode.reason

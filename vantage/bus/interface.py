@@ -263,6 +263,7 @@ class Bus(ABC):
         """Receive an Alive event for every participant on the bus, those already there and this one included, now and later.
 
         A participant counts as there when it first publishes or receives, at the latest: what it serves can be called then.
+        Called again, this changes nothing.
         """
 
     @abstractmethod
