@@ -28,7 +28,7 @@ SEED = 2250
 SERVICES = ("recorder", "predictor", "referee", "rehearsal", "tracker", "robot", "seeker", "planner", "console")
 BLAMED = {
     "tracker": ("tracker is not alive", "tracker: "),
-    "robot": ("robot or onboard is not alive", "robot: ", "the driver was restarted"),
+    "robot": ("robot or onboard is not alive", "robot: ", "the driver was restarted", "/motion from robot is"),
     "rehearsal": ("tracker: ", "robot: "),
 }
 """Killed service: what the reason of an aborted game may name. A real table's referee does not know of the rehearsal: what it
