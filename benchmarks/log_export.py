@@ -29,7 +29,7 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             started = time.monotonic()
             process = subprocess.Popen(
-                [VANTAGE, "log", "export", log, "--to", format, "--output", Path(folder) / "out", "--without-catching"],
+                [VANTAGE, "log", "export", log, "--as", format, "--to", Path(folder) / "out", "--without-catching"],
                 stdout=subprocess.DEVNULL,
             )
             _, status, used = os.wait4(process.pid, 0)

@@ -36,10 +36,9 @@ from services.seeker.core import SeekerCore, SeekerSettings
 from services.simulator.core import SimulatorCore, SimulatorSettings
 from vantage.errors import UserError
 from vantage.log import LogWriter, RunMetadata, source_commit
-from vantage.log.words import counted
 from vantage.match import SeekerPreset
 from vantage.output import complete, remove_abandoned
-from vantage.printable import printable
+from vantage.printable import counted, printable
 from vantage.service import Core
 from vantage.world.layout import ImpossibleLayout, make_layout
 

@@ -28,10 +28,9 @@ from vantage.log.episodes import EPISODE_TOPICS, EpisodeLog, games_of
 from vantage.log.file import DAMAGE
 from vantage.log.games import unusable
 from vantage.log.reader import Log
-from vantage.log.words import counted
 from vantage.output import AlreadyExists, complete, remove_abandoned
 from vantage.perception.state_image import perceive
-from vantage.printable import printable
+from vantage.printable import counted, printable
 
 NAMES = ("hider", "seeker", "layout")
 TOPICS = EPISODE_TOPICS - {"tick", "hider/command", "seeker/command", "hider/view", "seeker/view"}

@@ -16,7 +16,7 @@ from schemas import Control, Episode, Message, Plan, Players, PredictReply, Pred
 from vantage.bus import Bus, Reply, Sample
 from vantage.deployment import Deployment, DeploymentError
 from vantage.match import SeekerPreset, wish
-from vantage.watch import HealthWatch
+from vantage.watch import HealthWatch, diagnosis
 from vantage.world.arena import goal_name
 
 console = Console(highlight=False)
@@ -63,8 +63,11 @@ def main(settings: DemoSettings) -> int:
     deployment.start(settings.to, {})
     try:
         with ZenohBus("command-line", deployment.folder) as bus:
-            count = _wait_until_healthy(deployment)
-            console.print(f"    {count} services are healthy after {time.monotonic() - started:.1f} s")
+            with HealthWatch(deployment) as watch:
+                verdicts = watch.wait_until_healthy(_PATIENCE)
+            if why := diagnosis(deployment, verdicts):
+                raise DeploymentError(why)
+            console.print(f"    {len(verdicts)} services are healthy after {time.monotonic() - started:.1f} s")
             for attempt in range(1, TRIES + 1):
                 episode = _play(bus, ask, started)
                 if episode.phase == "ended" or attempt == TRIES:
@@ -89,20 +92,6 @@ def main(settings: DemoSettings) -> int:
     console.print(f"log      {logs[-1]}   (look inside: vantage log info {logs[-1]})", soft_wrap=True)
     console.print(f"picture  {picture}", soft_wrap=True)
     return 0 if episode.phase == "ended" else 1
-
-
-def _wait_until_healthy(deployment: Deployment) -> int:
-    deadline = time.monotonic() + _PATIENCE
-    with HealthWatch(deployment) as watch:
-        while True:
-            watch.listen(0.1)
-            verdicts = watch.verdicts()
-            sick = [verdict for verdict in verdicts if not verdict.healthy]
-            if not sick:
-                return len(verdicts)
-            if time.monotonic() > deadline:
-                name = sick[0].process.name
-                raise DeploymentError(f"{name} is not healthy: {sick[0].trouble}\n{deployment.tail(name)}")
 
 
 def _play(bus: Bus, ask: Control, started: float) -> Episode:

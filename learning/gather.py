@@ -27,9 +27,9 @@ from learning.splits import SPLITS, split_of
 from vantage.errors import UserError
 from vantage.log import open_log, source_commit
 from vantage.log.file import first_metadata
-from vantage.log.words import counted
 from vantage.match import SeekerPreset
 from vantage.output import AlreadyExists, write_complete
+from vantage.printable import counted
 
 SCHEMA_VERSION = 1
 

@@ -20,6 +20,7 @@ from services.referee.reasons import is_on_request
 from vantage.log import find_logs, open_log
 from vantage.log.episodes import EpisodeLog, games_of
 from vantage.log.reader import Log, Record
+from vantage.printable import counted
 from vantage.world.arena import CATCH_TOLERANCE, goal_name
 
 RECORDED_NOW = "it is being recorded now: check it again when it is finished"
@@ -121,7 +122,8 @@ def check_whole(log: Log, told: Callable[[float], None]) -> list[Finding]:
         findings += [Finding(f"{file.path.name} reads", False, text) for text in file.breaks]
         if not file.finished:
             findings.append(Finding(f"{file.path.name} was closed", False, RECORDED_NOW if file.recording else CUT_SHORT))
-    return findings or [Finding("the log is whole", True, f"{len(log.files)} file{'s' * (len(log.files) > 1)}")]
+        log.release(file)
+    return findings or [Finding("the log is whole", True, counted(len(log.files), "file"))]
 
 
 def check(path: Path, told: Callable[[str, float], None] = lambda what, part: None) -> list[Finding]:

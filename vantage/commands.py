@@ -19,14 +19,12 @@ from rich.markup import escape
 from rich.table import Table
 
 from vantage.deployment import Deployment, DeploymentError, configuration_of, deployments
-from vantage.printable import printable
-from vantage.watch import HealthWatch, Verdict
+from vantage.printable import counted, printable
+from vantage.watch import HealthWatch, Verdict, diagnosis
 
 console = Console(highlight=False)
 
 NameOfDeployment = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="[DEPLOYMENT]")]
-TROUBLESOME_RESTARTS = 3
-"""A service that was started so often before it was ever healthy does not start at all."""
 
 
 @dataclass(frozen=True)
@@ -122,17 +120,18 @@ def up(settings: Up) -> int:
     started = time.monotonic()
     deployment.start(settings.logs, _extra_arguments(settings.extra))
     try:
-        verdicts = _wait_until_healthy(deployment, settings.timeout)
+        with HealthWatch(deployment) as watch, Live(console=console, auto_refresh=False, transient=True) as live:
+
+            def show(verdicts: Sequence[Verdict]) -> None:
+                if console.is_terminal:
+                    live.update(_progress(verdicts), refresh=True)
+
+            verdicts = watch.wait_until_healthy(settings.timeout, show)
+        if why := diagnosis(deployment, verdicts):
+            raise DeploymentError(f"{settings.deployment} did not come up, and is stopped again\n{why}")
     except BaseException:
         deployment.stop()
         raise
-    sick = [verdict for verdict in verdicts if not verdict.healthy]
-    if sick:
-        # Those that live only complain that the dead ones are missing.
-        dead = [verdict for verdict in sick if verdict.health is None]
-        text = "\n".join(_diagnosis(deployment, verdict) for verdict in dead or sick)
-        deployment.stop()
-        raise DeploymentError(f"{settings.deployment} did not come up, and is stopped again\n{text}")
     memory = _mebibytes(sum(verdict.process.memory for verdict in verdicts) + deployment.supervisor_memory())
     took = time.monotonic() - started
     console.print(f"{settings.deployment} is up: {len(verdicts)} services healthy after {took:.1f} s, {memory} of memory")
@@ -196,7 +195,7 @@ def down(settings: Down) -> int:
     deployment = settings.find()
     stopped = deployment.stop()
     count = len(stopped.orphans)
-    orphans = f"{count} service{'' if count == 1 else 's'} ({', '.join(stopped.orphans)})"
+    orphans = f"{counted(count, 'service')} ({', '.join(stopped.orphans)})"
     were = "was" if count == 1 else "were"
     if stopped.supervisor and count:
         console.print(f"{settings.deployment} is down; {orphans} outlived supervisord and {were} ended", soft_wrap=True)
@@ -233,29 +232,6 @@ def _extra_arguments(texts: Sequence[str]) -> dict[str, str]:
             raise DeploymentError(f'--with wants NAME="ARGUMENTS", not {text!r}')
         extra[name] = f"{extra[name]} {arguments}" if name in extra else arguments
     return extra
-
-
-def _wait_until_healthy(deployment: Deployment, timeout: float) -> Sequence[Verdict]:
-    deadline = time.monotonic() + timeout
-    with HealthWatch(deployment) as watch, Live(console=console, auto_refresh=False, transient=True) as live:
-        while True:
-            watch.listen(0.1)
-            verdicts = watch.verdicts()
-            if console.is_terminal:
-                live.update(_progress(verdicts), refresh=True)
-            if (
-                any(_is_hopeless(verdict) for verdict in verdicts)
-                or all(verdict.healthy for verdict in verdicts)
-                or time.monotonic() > deadline
-            ):
-                return verdicts
-
-
-def _is_hopeless(verdict: Verdict) -> bool:
-    """Return whether more patience will not make a service healthy."""
-    process = verdict.process
-    never_starts = process.state == "FATAL" or "find command" in process.complaint
-    return not verdict.healthy and (never_starts or process.restarts >= TROUBLESOME_RESTARTS)
 
 
 def _progress(verdicts: Sequence[Verdict]) -> Table:
@@ -295,18 +271,6 @@ def _table(verdicts: Sequence[Verdict], supervisor_memory: int) -> Table:
             str(row["lost"]),
         )
     return table
-
-
-def _diagnosis(deployment: Deployment, verdict: Verdict) -> str:
-    """Return why a service is not healthy, by its own last words where it could not start."""
-    name = printable(verdict.process.name)
-    tail = deployment.tail(name) or "(it printed nothing)"
-    last = tail.splitlines()[-1]
-    if last.startswith(f"{name} cannot start: "):
-        return last
-    indented = "\n".join(f"    {line}" for line in tail.splitlines())
-    trouble = _one_line(verdict.trouble)
-    return f"{name}: {verdict.state}: {trouble}\n  the end of {deployment.folder / (name + '.log')}:\n{indented}"
 
 
 def _follow(path: Path) -> None:

@@ -22,7 +22,7 @@ from schemas import SERVICES
 from vantage.bus.names import is_held, living_names
 from vantage.errors import UserError, explain
 from vantage.occupants import SUPERVISOR, Occupant, end, memory_of, occupants, wait_until_empty
-from vantage.printable import printable
+from vantage.printable import counted, printable
 from vantage.private_folder import is_private, make_private
 from vantage.process_table import Program, programs_of, with_extra_arguments, with_this_interpreter
 from vantage.supervisor import Supervisor, Unreachable
@@ -368,4 +368,4 @@ def _check_recordings(folder: Path) -> None:
 
 def _listed(found: Collection[Occupant]) -> str:
     """Return how many services these are, and their names."""
-    return f"{len(found)} service{'' if len(found) == 1 else 's'} ({', '.join(sorted(each.name for each in found))})"
+    return f"{counted(len(found), 'service')} ({', '.join(sorted(each.name for each in found))})"

@@ -74,15 +74,15 @@ class Export:
 
     Examples:
         vantage log export logs/game.mcap
-        vantage log export logs/game.mcap --to video --game 3
-        vantage log export logs/ --to lerobot --output hide-and-seek
+        vantage log export logs/game.mcap --as video --game 3
+        vantage log export logs/ --as lerobot --to hide-and-seek
     """
 
     source: Source
     """The log: a file, the first part of several (NAME_000.mcap), or a folder with one log (for lerobot: with any number)."""
-    to: Literal["foxglove", "rerun", "lerobot", "video"] = "foxglove"
+    as_: Annotated[Literal["foxglove", "rerun", "lerobot", "video"], tyro.conf.arg(name="as")] = "foxglove"
     """For which program."""
-    output: Path | None = None
+    to: Path | None = None
     """The new file, or folder (lerobot, and rerun or video of several games); by default beside the source."""
     game: int | None = None
     """Only the game of this number, see `vantage log info`."""
@@ -129,9 +129,9 @@ def export(settings: Export) -> int:
     """Export a log. Exit code 2 when something in the log could not be read."""
     with shown_progress(complaints) as progress:
         done = export_to(
-            settings.to,
+            settings.as_,
             settings.source,
-            settings.output,
+            settings.to,
             arena_appearance(),
             episode=settings.game,
             force=settings.force,

@@ -15,7 +15,7 @@ from schemas.messages import MAXIMUM_STEPS
 from vantage.bus import Alive, Bus, Event, Sample
 from vantage.deployment import DeploymentError
 from vantage.errors import UserError
-from vantage.printable import printable
+from vantage.printable import counted, printable
 
 SeekerPreset = Literal["glancing", "expert"]
 
@@ -190,7 +190,7 @@ def sentence(game: Game) -> str:
     episode = game.episode
     if episode.phase == "aborted":
         return f"game {episode.episode} (seed {episode.seed}): aborted at step {episode.step}: {printable(episode.reason)}"
-    steps = f"{episode.step} step{'' if episode.step == 1 else 's'}"
+    steps = counted(episode.step, "step")
     ending = f"was caught at step {episode.caught_step}" if episode.outcome == "caught" else f"survived {steps}"
     plan = "" if game.planned is None else f", planned in {game.planned:.2f} s"
     plan += "" if game.goal is None else f", {goal_name(game.goal)}"

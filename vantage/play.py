@@ -18,7 +18,7 @@ from schemas.topics import COMMAND_LINE
 from vantage.bus import Alive, Bus, NameInUse, Sample
 from vantage.deployment import DEPLOYMENT_NAME, Deployment, DeploymentError, deployments
 from vantage.match import GOODBYE, Game, Match, SeekerPreset, sentence, wish
-from vantage.printable import printable
+from vantage.printable import counted, printable
 from vantage.stopping import stop_deferred, stop_requested
 
 console = Console(highlight=False)
@@ -186,7 +186,7 @@ def main(settings: Settings) -> int:
             raise
     if match.ended_early:
         left = settings.games - len(games)
-        console.print(f"{left} of {_games(settings.games)} not begun: {match.ended_early}", soft_wrap=True, markup=False)
+        console.print(f"{left} of {counted(settings.games, 'game')} not begun: {match.ended_early}", soft_wrap=True, markup=False)
     return 1 if match.ended_early or any(game.episode.phase == "aborted" for game in games) else 0
 
 
@@ -203,8 +203,8 @@ def _detach(match: Match, settings: Settings, page: str) -> int:
     if match.ended_early:
         raise DeploymentError(f"the games were stopped: {match.ended_early}")
     watch = f"watch at {page}" if page else "see `vantage status`"
-    line = f"{_games(settings.games)} from seed {settings.seed} asked for: {watch}, end with `{_command('stop', settings)}`"
-    console.print(line, soft_wrap=True, markup=False)
+    games = f"{counted(settings.games, 'game')} from seed {settings.seed}"
+    console.print(f"{games} asked for: {watch}, end with `{_command('stop', settings)}`", soft_wrap=True, markup=False)
     return 0
 
 
@@ -266,7 +266,7 @@ class _Onlooker:
 def _how_to_go_on(settings: Settings, played: int) -> str:
     """Return what a command that was ended leaves, and what to type for the rest."""
     rest = _command("play", settings, seed=settings.seed + played, games=settings.games - played)
-    return f"{played} of {_games(settings.games)} played, the others: {rest}"
+    return f"{played} of {counted(settings.games, 'game')} played, the others: {rest}"
 
 
 def _command(word: str, settings: Settings, **changes: int) -> str:
@@ -278,7 +278,3 @@ def _command(word: str, settings: Settings, **changes: int) -> str:
             continue
         words += [f"--{field.name}"] if value is True else [f"--{field.name}", str(value)]
     return shlex.join(words)
-
-
-def _games(count: int) -> str:
-    return f"{count} game{'' if count == 1 else 's'}"

@@ -1,10 +1,15 @@
-"""Text that somebody else wrote, made safe to print."""
+"""Text for people: what somebody else wrote is made safe to print, numbers agree with their nouns."""
 
 from __future__ import annotations
 
 import unicodedata
 
 _NOT_PRINTED = frozenset(("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp"))
+
+
+def counted(count: int, noun: str) -> str:
+    """Return a number with its noun: "1 message", "2 messages"."""
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def shortened(text: str, longest: int) -> str:

@@ -6,6 +6,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from vantage.printable import counted
 from vantage.setting_up.former import keep_former
 from vantage.setting_up.progress import cameras_there, console, progress
 from vantage.setting_up.settings import CalibrateArena, CalibrateLens, CalibrateRobot, Check, Colors, Print
@@ -22,7 +23,7 @@ def print_sheets(settings: Print) -> int:
         from vantage.tracking.table import default_table, load_table, save_table
     table = default_table() if settings.table is None else load_table(settings.table)
     for path, pages, kept in write_sheets(settings.to, table, settings.paper):
-        console.print(f"{path}: {pages} page{'s' * (pages != 1)}{kept}", soft_wrap=True, markup=False)
+        console.print(f"{path}: {counted(pages, 'page')}{kept}", soft_wrap=True, markup=False)
     if settings.table is None:
         file = settings.to / "table.json"
         if file.exists():
@@ -44,17 +45,14 @@ def calibrate_lens(settings: CalibrateLens) -> int:
         from vantage.setting_up.pictures import open_source, write_picture
     with open_source(settings.source, *settings.mode) as source, progress("looking for the board") as say:
 
-        def counted(views: BoardViews) -> str:
-            return f"{len(views.views)} view{'s' * (len(views.views) != 1)}"
-
         def tell(views: BoardViews, looked: int) -> None:
             missing = views.missing()
             of = f" of {source.count}" if source.count is not None else ""
             wish = f"; show {missing[0]}" if missing and source.live else ""
-            say(f"picture {looked}{of}: {counted(views)} of the board{wish}")
+            say(f"picture {looked}{of}: {counted(len(views.views), 'view')} of the board{wish}")
 
         views, refused = gather_views(source, settings.seconds, tell)
-        say(f"fitting the lens to {counted(views)}")
+        say(f"fitting the lens to {counted(len(views.views), 'view')}")
         for name, reason in refused:
             console.print(f"set aside: {name}: {reason}", soft_wrap=True, markup=False)
         coverage = settings.to.with_name(f"{settings.to.stem}-views.png")
@@ -204,6 +202,6 @@ def check(settings: Check) -> int:
         console.print(line, soft_wrap=True)
     troubles = sum(not verdict.ok for verdict in verdicts)
     summary = f"{troubles} with trouble" if troubles else "all well"
-    checks = f"{len(verdicts)} check{'s' * (len(verdicts) != 1)}"
+    checks = counted(len(verdicts), "check")
     console.print(f"{checks}, {summary}; pictures: {settings.to}", soft_wrap=True, markup=False)
     return 1 if troubles else 0

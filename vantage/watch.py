@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 from schemas import Health, MalformedMessage
@@ -14,6 +15,8 @@ from vantage.service import bad_messages
 
 STALE_HEALTH = 2.5
 """Seconds without a health message, due each second, after which a service is silent."""
+TROUBLESOME_RESTARTS = 3
+"""A service that was started so often before it was ever healthy does not start at all."""
 _ALIVE = ("STARTING", "RUNNING")
 
 
@@ -78,6 +81,32 @@ def judge(process: Process, health: Health | None, age: float) -> Verdict:
     return Verdict(False, health.state, trouble, process, health)
 
 
+def diagnosis(deployment: Deployment, verdicts: Sequence[Verdict]) -> str:
+    """Return why services are not healthy, each by its own last words where it could not start; empty if all are."""
+    sick = [verdict for verdict in verdicts if not verdict.healthy]
+    # Those that live only complain that the dead ones are missing.
+    dead = [verdict for verdict in sick if verdict.health is None]
+    return "\n".join(_diagnosis_of(deployment, verdict) for verdict in dead or sick)
+
+
+def _diagnosis_of(deployment: Deployment, verdict: Verdict) -> str:
+    name = printable(verdict.process.name)
+    tail = deployment.tail(name) or "(it printed nothing)"
+    last = tail.splitlines()[-1]
+    if last.startswith(f"{name} cannot start: "):
+        return last
+    indented = "\n".join(f"    {line}" for line in tail.splitlines())
+    trouble = printable(verdict.trouble)
+    return f"{name}: {verdict.state}: {trouble}\n  the end of {deployment.folder / (name + '.log')}:\n{indented}"
+
+
+def _is_hopeless(verdict: Verdict) -> bool:
+    """Return whether more patience will not make a service healthy."""
+    process = verdict.process
+    never_starts = process.state == "FATAL" or "find command" in process.complaint
+    return not verdict.healthy and (never_starts or process.restarts >= TROUBLESOME_RESTARTS)
+
+
 @dataclass
 class HealthWatch:
     """Collects `health/*` from a deployment's bus. A listener of any name: several may watch at once."""
@@ -134,3 +163,23 @@ class HealthWatch:
             health, heard = self._last.get(process.name, (None, 0.0))
             verdicts.append(judge(process, health, now - heard))
         return verdicts
+
+    def wait_until_healthy(
+        self, patience: float, show: Callable[[Sequence[Verdict]], None] = lambda verdicts: None
+    ) -> list[Verdict]:
+        """Return the verdicts once all services are healthy, one of them will not start, or `patience` seconds are over.
+
+        Args:
+            show: is called with the verdicts meanwhile.
+
+        Raises:
+            DeploymentError: the deployment is not up.
+        """
+        deadline = time.monotonic() + patience
+        while True:
+            self.listen(0.1)
+            verdicts = self.verdicts()
+            show(verdicts)
+            settled = all(verdict.healthy for verdict in verdicts) or any(_is_hopeless(verdict) for verdict in verdicts)
+            if settled or time.monotonic() > deadline:
+                return verdicts

@@ -49,7 +49,7 @@ class ReproduceSettings:
     """GROUP=FOLDER: networks of a group that lie trained in a folder, with their cards, and are taken as they are."""
     publish: bool = False
     """Also copy page, figures and results into docs/."""
-    jobs: int = 0
+    workers: int = 0
     """Trainings at a time; 0 = one for each core, or one on a GPU."""
     list: bool = False
     """Only print the commands."""
@@ -61,7 +61,7 @@ def main(settings: ReproduceSettings) -> int:
     preset, machine = PRESETS[settings.preset], Machine.here()
     stages = stages_of(settings.preset, preset, machine, given_weights(settings, folder))
     display = Display(Console(highlight=False))
-    runner = Runner(stages, folder, settings.jobs or (1 if machine.gpu else machine.cores), settings.have, display.show)
+    runner = Runner(stages, folder, settings.workers or (1 if machine.gpu else machine.cores), settings.have, display.show)
     if settings.list:
         for stage in stages:
             print(shlex.join(("vantage", *runner.arguments(stage))))

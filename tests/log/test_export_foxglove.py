@@ -141,7 +141,7 @@ def test_a_full_disk_is_one_line_that_names_the_target(tmp_path: Path, format: s
     """A limit of the file size stands for the full disk: the system refuses to write in the same place."""
     if format == "video":
         limit //= 20  # a video of this game is not as large
-    words = [VANTAGE, "log", "export", real_log(3, 60), "--to", format, "--output", tmp_path / "out", "--game", "2"]
+    words = [VANTAGE, "log", "export", real_log(3, 60), "--as", format, "--to", tmp_path / "out", "--game", "2"]
     if format == "lerobot":
         words.append("--without-catching")
 
@@ -269,7 +269,7 @@ def test_what_fails_half_way_leaves_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGKILL])
 def test_an_interrupted_export_leaves_nothing_under_its_name(tmp_path: Path, format: str, sent: signal.Signals) -> None:
     target = tmp_path / "target"
-    command = [VANTAGE, "log", "export", real_log(3, 250), "--to", format, "--output", target]
+    command = [VANTAGE, "log", "export", real_log(3, 250), "--as", format, "--to", target]
     if format in ("rerun", "video"):
         command += ["--game", "2"]
     if format == "lerobot":
@@ -292,7 +292,7 @@ def test_a_cut_log_gives_what_is_whole_and_exit_code_2(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(real_log().read_bytes()[: real_log().stat().st_size * 6 // 10])
     for format in ("foxglove", "rerun", "lerobot", "video"):
-        words = [VANTAGE, "log", "export", cut, "--to", format, "--output", tmp_path / format, "--without-catching"]
+        words = [VANTAGE, "log", "export", cut, "--as", format, "--to", tmp_path / format, "--without-catching"]
         done = subprocess.run(words, capture_output=True, text=True)
         assert done.returncode == 2, done.stderr
         assert "breaks off" in done.stderr
@@ -303,7 +303,7 @@ def test_a_missing_package_is_one_line(tmp_path: Path) -> None:
     """As on a machine without the extra `viewers`."""
     without = "import sys; sys.modules.update({'rerun': None, 'pyarrow': None, 'av': None}); from vantage.cli import main; main()"
     for format, package in (("rerun", "rerun-sdk"), ("lerobot", "pyarrow"), ("video", "av")):
-        words = [sys.executable, "-c", without, "log", "export", real_log(), "--to", format, "--output", tmp_path / "out"]
+        words = [sys.executable, "-c", without, "log", "export", real_log(), "--as", format, "--to", tmp_path / "out"]
         done = subprocess.run(words, capture_output=True, text=True)
         assert done.returncode == 1
         assert done.stderr.count("\n") == 1

@@ -251,7 +251,7 @@ def test_an_export_on_a_full_disk_leaves_nothing(any_disk: Disk, tmp_path: Path)
     assert not [path for path in any_disk.folder.iterdir() if path.name != "ballast"]
 
 
-@pytest.mark.parametrize("words", [("recover", "--to"), ("export", "--output")], ids=["recover", "export"])
+@pytest.mark.parametrize("words", [("recover", "--to"), ("export", "--to")], ids=["recover", "export"])
 def test_a_place_that_cannot_be_written_is_one_line(disk: Disk, tmp_path: Path, words: tuple[str, str]) -> None:
     write_log(tmp_path / "log.mcap", records_of(game(1, 3)))
     if isinstance(disk, RefusingDisk):  # its refusals are of this process only

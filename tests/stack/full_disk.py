@@ -57,7 +57,7 @@ WRITERS = (
     Writer("gather", "gather --train 24 --validation 4 --test 4 --block 16 --to place", 200_000),
     Writer("convert", "convert data --to place/dataset", 200_000),
     Writer("log recover", "log recover cut.mcap --to place/recovered.mcap", 50_000),
-    Writer("log export", "log export LOG --to rerun --without-catching --output place/exported", 200_000),
+    Writer("log export", "log export LOG --as rerun --without-catching --to place/exported", 200_000),
     Writer(
         "train caught",
         "train caught --data data/dataset --preset compact --minutes 0.3 --workspace place/work --to place/hazard.safetensors",

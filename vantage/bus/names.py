@@ -13,13 +13,16 @@ def living_names(folder: Path) -> list[str]:
 
 
 def is_held(lock: Path) -> bool:
-    """Return whether a living process holds a lock file."""
+    """Return whether a living process holds a lock file.
+
+    It looks with a shared lock: two who look do not take each other for the holder.
+    """
     try:
         descriptor = os.open(lock, os.O_RDONLY | os.O_CLOEXEC)
     except FileNotFoundError:
         return False
     try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     finally:

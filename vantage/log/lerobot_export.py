@@ -19,7 +19,7 @@ from vantage.log.lerobot_writer import DatasetWriter
 from vantage.log.outline import GameOutline, outline, steps_of
 from vantage.log.reader import Log, open_log
 from vantage.log.target import ExportError, Progress, in_silence, optional, whole
-from vantage.log.words import counted
+from vantage.printable import counted
 
 _KEYS = tuple(f"{robot}/{part}" for robot in ROBOTS for part in ("pose", "depth", "color", "command"))
 _VIEWS = tuple(f"{robot}/view" for robot in ROBOTS)

@@ -125,8 +125,12 @@ class Log:
                     name = (channel.topic, channel.metadata.get("publisher", ""), channel.message_encoding != "")
                     names[id] = name
                 yield Record(name[0], name[1], sequence, log_time, publish_time, payload, name[2])
-            if len(self.files) > _MOST_OPEN:
-                file.close()
+            self.release(file)
+
+    def release(self, file: LogFile) -> None:
+        """Close a part that has been gone through, where the log has too many for all of them to stay open."""
+        if len(self.files) > _MOST_OPEN:
+            file.close()
 
     def close(self) -> None:
         """Let go of the files."""

@@ -14,8 +14,8 @@ from vantage.errors import UserError
 from vantage.log.compression import Compression
 from vantage.log.file import DAMAGE, LogFile, read_metadata
 from vantage.log.part import ChunkLost, Part
-from vantage.log.words import counted
 from vantage.output import complete
+from vantage.printable import counted
 
 _CHUNK_SIZE = 1 << 20
 _TIMES = struct.Struct("<QQ")

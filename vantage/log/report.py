@@ -14,8 +14,7 @@ from rich.text import Text
 from schemas import Control, Episode, Gap, MalformedMessage, Pose
 from vantage.log.games import AboutGame, Games, Word
 from vantage.log.reader import Record, find_logs, open_log
-from vantage.log.words import counted
-from vantage.printable import printable
+from vantage.printable import counted, printable
 
 _LONGEST_NAME = 200
 _LONGEST_VALUE = 300

@@ -70,12 +70,12 @@ def require_free(target: Path, force: bool, is_ours: IsOurs, sources: Iterable[P
     if not target.exists():
         return
     if any(source.exists() and target.samefile(source) for source in sources):
-        raise ExportError(f"{target} is the log itself, which is never replaced: choose another --output")
+        raise ExportError(f"{target} is the log itself, which is never replaced: choose another --to")
     if is_ours(target) or (target.is_dir() and not any(target.iterdir())):
         if not force:
-            raise AlreadyExists(target, "choose another name with --output, or replace it with --force")
+            raise AlreadyExists(target, "choose another name with --to, or replace it with --force")
         return
-    raise AlreadyExists(target, "it is no earlier export of this format, so it is never replaced; choose another --output")
+    raise AlreadyExists(target, "it is no earlier export of this format, so it is never replaced; choose another --to")
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Words for people: of counts, and of what messages say in the log panels of viewers."""
+"""Words for people: what messages say in the log panels of viewers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from typing import Literal, NamedTuple
 
 from schemas import Control, Episode, Gap, Health, Message, Motion, Playback
+from vantage.printable import counted
 
 Level = Literal["debug", "info", "warning", "error"]
 
@@ -16,11 +17,6 @@ class Words(NamedTuple):
     level: Level
     name: str
     text: str
-
-
-def counted(count: int, noun: str) -> str:
-    """Return a number with its noun: "1 message", "2 messages"."""
-    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
 
 
 def words_of(key: str, message: Message) -> Words | None:

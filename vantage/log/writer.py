@@ -19,7 +19,7 @@ from vantage.log.names import part_path
 from vantage.log.part import FILE_MODE, FOLDER_MODE, ChunkLost, Part
 from vantage.log.routes import Route, Routes
 from vantage.log.sync_thread import SyncThread
-from vantage.log.words import counted
+from vantage.printable import counted
 
 if TYPE_CHECKING:
     from vantage.log.viewer import ViewerMessage

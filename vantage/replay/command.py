@@ -19,6 +19,7 @@ from rich.progress import BarColumn, Progress, TextColumn
 from schemas import FASTEST, SERVICES, SLOWEST
 from vantage.bus import Alive
 from vantage.log.games import NoSuchGame, find_game
+from vantage.printable import counted
 from vantage.replay.display import Display, clock_text
 from vantage.replay.hosting import hosted
 from vantage.replay.keys import keyboard
@@ -72,7 +73,7 @@ class Settings:
     """Name of the arena on the bus."""
     start: bool = True
     """Start predictor and console (compose/replay.conf) if nothing is up in the folder."""
-    patience: float = 60.0
+    timeout: float = 60.0
     """Seconds that these may take to be healthy."""
 
 
@@ -84,7 +85,7 @@ def main(settings: Settings) -> int:
         closing.callback(recording.close)
         position = _beginning(settings, recording)
         stopping = closing.enter_context(_stop_on_signals())
-        hosting = hosted(settings.folder, settings.arena, settings.start, settings.patience, console)
+        hosting = hosted(settings.folder, settings.arena, settings.start, settings.timeout, console)
         deployment, services = closing.enter_context(hosting)
         sessions = closing.enter_context(
             Sessions(recording.publishers, deployment.folder, settings.arena, services, settings.without)
@@ -165,7 +166,7 @@ def _check(settings: Settings) -> None:
 def _tell(recording: Recording, sessions: Sessions, address: str) -> None:
     duration = clock_text((recording.end - recording.start) / SECOND)
     games = len(recording.games)
-    console.print(f"{recording.name}: {duration}, {games} game{'' if games == 1 else 's'}", soft_wrap=True, markup=False)
+    console.print(f"{recording.name}: {duration}, {counted(games, 'game')}", soft_wrap=True, markup=False)
     for name, how in sorted(sessions.cast.replaced.items()):
         console.print(f"  {name}: {how}", markup=False)
     for (key, _), why in sorted(sessions.cast.unplayable.items()):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import shlex
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -14,11 +13,9 @@ from rich.console import Console
 from vantage.deployment import Deployment, configuration_of
 from vantage.process_table import programs_of
 from vantage.replay.trouble import ReplayError
-from vantage.watch import HealthWatch
+from vantage.watch import HealthWatch, diagnosis
 
 NAME = "replay"
-RESTARTS = 3
-"""A service that was started so often before it was ever healthy does not start at all."""
 
 
 @contextmanager
@@ -51,7 +48,10 @@ def hosted(
     try:
         starting = f"starting {' and '.join(programs)}"
         with console.status(starting) if console.is_terminal else _plain(console, starting):
-            _wait_until_healthy(deployment, arena, patience)
+            with HealthWatch(deployment, arena) as watch:
+                verdicts = watch.wait_until_healthy(patience)
+        if why := diagnosis(deployment, verdicts):
+            raise ReplayError(f"the services around the replay do not come up:\n{why}")
         yield deployment, list(deployment.programs)
     finally:
         deployment.stop()
@@ -76,19 +76,3 @@ def check_arena(deployment: Deployment, arena: str) -> None:
                 f"--arena {arena}: what is up in {deployment.folder} belongs to the arena {named[-1]}, and would hear nothing: "
                 "stop it (`vantage down replay`), or replay elsewhere (--folder)"
             )
-
-
-def _wait_until_healthy(deployment: Deployment, arena: str, patience: float) -> None:
-    deadline = time.monotonic() + patience
-    with HealthWatch(deployment, arena) as watch:
-        while True:
-            watch.listen(0.1)
-            sick = [verdict for verdict in watch.verdicts() if not verdict.healthy]
-            if not sick:
-                return
-            if time.monotonic() > deadline or any(verdict.process.restarts >= RESTARTS for verdict in sick):
-                texts = [
-                    f"{verdict.process.name}: {verdict.trouble}\n{deployment.tail(verdict.process.name)}".rstrip()
-                    for verdict in sick
-                ]
-                raise ReplayError("\n".join(["the services around the replay do not come up:", *texts]))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from schemas import TOPICS, Health, InputHealth, MalformedMessage
 from vantage.cores import available_cores
-from vantage.printable import printable, shortened
+from vantage.printable import counted, printable, shortened
 from vantage.service.core import SECOND, Core
 
 STALE_PERIODS = 10
@@ -48,7 +48,7 @@ class InputCounts:
 def load_text() -> str:
     """Return how many processes want a core now, and how many cores there are."""
     cores = available_cores()
-    return f"load {os.getloadavg()[0]:.1f} on {cores} core{'s' * (cores != 1)}"
+    return f"load {os.getloadavg()[0]:.1f} on {counted(cores, 'core')}"
 
 
 class Condition:

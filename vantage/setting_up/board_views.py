@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 
+from vantage.printable import counted
 from vantage.tracking.lens import BoardDescription, charuco_board
 
 Picture = npt.NDArray[np.uint8]
@@ -94,7 +95,7 @@ class BoardViews:
         wishes += [f"the board tilted, {way}" for way, count in zip(_TILTS, self._tilts(), strict=True) if count < TILTED_VIEWS]
         if len(self.views) < self.wanted:
             more = self.wanted - len(self.views)
-            wishes.append(f"{more} more view{'s' * (more != 1)}")
+            wishes.append(counted(more, "more view"))
         return wishes
 
     def _places(self) -> list[bool]:

@@ -10,6 +10,7 @@ from typing import Final
 import msgspec
 
 from vantage.output import write_complete
+from vantage.printable import counted
 from vantage.setting_up.board_views import BoardView, BoardViews
 from vantage.setting_up.pictures import Source
 from vantage.setting_up.trouble import TableTrouble
@@ -59,7 +60,7 @@ def measure_lens(views: BoardViews, looked: str) -> tuple[LensResult, list[Board
     if len(views.views) < FEWEST_VIEWS:
         found = len(views.views)
         raise TableTrouble(
-            f"only {found} different view{'s' * (found != 1)} of the board in {looked}, at least {FEWEST_VIEWS} are needed "
+            f"only {counted(found, 'different view')} of the board in {looked}, at least {FEWEST_VIEWS} are needed "
             f"({views.wanted} are good). Is it the board of `vantage table print`? Missing: {'; '.join(missing)}"
         )
     try:

@@ -18,6 +18,7 @@ from schemas import ROBOTS, TOPICS, ColorImage, DepthImage, Health, Layout, Malf
 from vantage.bus import Bus, Sample
 from vantage.cores import available_cores
 from vantage.deployment import Process
+from vantage.printable import counted
 from vantage.service import TOO_SLOW
 from vantage.setting_up.verdict import Verdict
 from vantage.watch import Verdict as ServiceVerdict
@@ -181,7 +182,7 @@ def judge_heard(heard: Heard, deployment: str, processes: list[Process], obstacl
 
 def _machine(heard: Heard) -> Verdict:
     """Judge whether the machine keeps up: on one that does not, robots and cameras look as if they were broken."""
-    cores = f"{heard.cores} core{'s' * (heard.cores != 1)}"
+    cores = counted(heard.cores, "core")
     figures = f"load {heard.load:.1f} on {cores}, this command woken {1000 * heard.late:.0f} ms late"
     slow = sorted(name for name, (health, _) in heard.health.items() if TOO_SLOW in health.reason)
     if slow:
