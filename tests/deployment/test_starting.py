@@ -18,12 +18,12 @@ from supervisor.options import ServerOptions
 from tests.deployment.conftest import Small
 from vantage import deployment, process_table
 from vantage.bus.zenoh_bus import ZenohBus
-from vantage.commands import Up, _diagnosis, up
+from vantage.commands import Up, up
 from vantage.deployment import Deployment, DeploymentError, Process
 from vantage.errors import UserError
 from vantage.process_table import ConfigurationError, programs_of, with_extra_arguments, with_this_interpreter
 from vantage.supervisor import OPEN_FILES
-from vantage.watch import judge
+from vantage.watch import diagnosis, judge
 
 TEXT = "[supervisord]\n\n[program:planner]\ncommand=python -m services.planner --folder .\n"
 
@@ -199,5 +199,5 @@ def test_what_a_service_could_not_start_for_is_given_once(home: Path) -> None:
     folder.mkdir(mode=0o700)
     (folder / "recorder.log").write_text("recorder cannot start: the disk is full\n" * 4)
     process = Process("recorder", "BACKOFF", 0, restarts=3, uptime=0.0, memory=0, complaint="Exited too quickly")
-    text = _diagnosis(Deployment("simulation", folder), judge(process, None, 0.0))
+    text = diagnosis(Deployment("simulation", folder), [judge(process, None, 0.0)])
     assert text == "recorder cannot start: the disk is full"

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import subprocess
+import sys
 import time
 from collections import deque
 from collections.abc import Callable
@@ -118,11 +120,28 @@ def test_writing_to_a_robot_that_does_not_read_never_waits(tmp_path: Path) -> No
 def test_a_pseudo_terminal_replaces_an_old_link_and_takes_only_its_own_away(tmp_path: Path) -> None:
     first = PseudoTerminal(tmp_path / "hider")
     second = PseudoTerminal(tmp_path / "hider")
-    assert os.readlink(tmp_path / "hider") == second.device
+    link = os.readlink(tmp_path / "hider")
     first.close()
-    assert os.readlink(tmp_path / "hider") == second.device
+    assert os.readlink(tmp_path / "hider") == link
     second.close()
     assert not os.path.lexists(tmp_path / "hider")
+
+
+def test_the_link_of_a_rehearsal_that_was_killed_leads_to_nobody_elses_terminal(tmp_path: Path) -> None:
+    """The kernel gives the freed number to the next pseudo-terminal: somebody's shell, or another table's robot."""
+    killed = "import os, sys; from vantage.rehearsal.pseudo_terminal import PseudoTerminal; from pathlib import Path; "
+    killed += "PseudoTerminal(Path(sys.argv[1])); os.kill(os.getpid(), 9)"
+    subprocess.run([sys.executable, "-c", killed, str(tmp_path / "hider")], check=False)
+    assert os.path.lexists(tmp_path / "hider")
+    others = [os.openpty() for _ in range(8)]
+    port = SerialPort("hider", str(tmp_path / "hider"), 115_200)
+    try:
+        with pytest.raises(DeviceLost, match="cannot open"):
+            port.open()
+    finally:
+        for ends in others:
+            for end in ends:
+                os.close(end)
 
 
 class RealTable:

@@ -40,7 +40,7 @@ def test_a_game_is_seen_live(table: Table) -> None:
         process.send_signal(signal.SIGINT)
         said, complained = process.communicate(timeout=PATIENCE)
         assert (process.returncode, complained) == (0, "")
-        assert said.endswith("closed\n")
+        assert said.splitlines()[-1].startswith("closed")  # on a busy machine also how many messages came too fast
         assert json.loads((table.folder / "foxglove.layout.json").read_text())["configById"]
     finally:
         process.kill()

@@ -11,11 +11,11 @@ from pathlib import Path
 class PseudoTerminal:
     """The far end of a serial line.
 
+    The link leads through this process: once it has ended, however that came, the link leads nowhere. One to `/dev/pts/7` would
+    lead to whoever is given that number next, and the driver would take somebody's terminal for its robot.
+
     Args:
         path: where a link to the driver's end is made; an old link there is replaced. Its folder must exist.
-
-    Attributes:
-        device: the driver's end itself, such as `/dev/pts/7`.
 
     Raises:
         OSError: no pseudo-terminal is to be had, or the path cannot be written.
@@ -27,11 +27,12 @@ class PseudoTerminal:
         tty.setraw(self._driver)
         os.set_blocking(self._robot, False)
         # The driver's end stays open here, too: a driver that comes and goes leaves the line as it is.
-        self.device = os.ttyname(self._driver)
+        through = f"/proc/{os.getpid()}/fd/{self._driver}"
+        self._link = through if os.path.exists(through) else os.ttyname(self._driver)
         try:
             temporary = self.path.with_name(f".{self.path.name}.{os.getpid()}")
             temporary.unlink(missing_ok=True)
-            temporary.symlink_to(self.device)
+            temporary.symlink_to(self._link)
             temporary.replace(self.path)
         except OSError:
             os.close(self._robot)
@@ -60,7 +61,7 @@ class PseudoTerminal:
         if self._robot < 0:
             return
         with contextlib.suppress(OSError):
-            if os.readlink(self.path) == self.device:
+            if os.readlink(self.path) == self._link:
                 self.path.unlink()
         os.close(self._robot)
         os.close(self._driver)
