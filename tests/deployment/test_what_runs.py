@@ -57,21 +57,20 @@ def orphan(small: Small) -> Iterator[subprocess.Popen[bytes]]:
             running.kill()
 
 
-@pytest.mark.parametrize("swept", [False, True])
-def test_a_service_without_supervisord_is_found_and_ended(small: Small, swept: bool) -> None:
+def test_a_service_without_supervisord_is_found_and_ended(small: Small) -> None:
     small.start()
     small.wait_for_service()
     os.kill(small.named("supervisord")[0].pid, signal.SIGKILL)
     small.wait(lambda: not small.named("referee"), "the referee ends by itself", 20.0)
     with orphan(small) as referee:
-        if swept:
-            sweep(small.folder)
         gone = f"supervisord is gone; 1 service (referee) still runs in {small.folder}"
-        for ask in (small.deployment.processes, small.start):
-            with pytest.raises(DeploymentError) as caught:
-                ask()
-            assert str(caught.value) == f"{gone}: `vantage down small --folder {small.folder}`"
-        assert small.deployment.is_running()
+        for _ in ("its files are there", "they are swept away"):
+            for ask in (small.deployment.processes, small.start):
+                with pytest.raises(DeploymentError) as caught:
+                    ask()
+                assert str(caught.value) == f"{gone}: `vantage down small --folder {small.folder}`"
+            assert small.deployment.is_running()
+            sweep(small.folder)
         assert [occupant.pid for occupant in small.named("referee")] == [referee.pid], "nothing was started beside it"
         assert small.deployment.stop() == Stopped(supervisor=False, orphans=("referee",))
         assert referee.wait(5.0) in (0, -signal.SIGTERM)

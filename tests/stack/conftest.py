@@ -10,6 +10,8 @@ import pytest
 from tests.stack.table import Table
 
 HERE = Path(__file__).parent
+PAUSE = 0.5
+"""Seconds between two games."""
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -21,5 +23,5 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 @pytest.fixture(scope="session")
 def table() -> Iterator[Table]:
     """A whole deployment, up and healthy, in a private folder of its own: for all tests that leave it so."""
-    with Table() as running:
+    with Table("simulation", "--with", f"referee=--pause {PAUSE}") as running:
         yield running

@@ -38,10 +38,12 @@ class Table:
     Args:
         words: more options of `vantage up`.
         home: folder for everything, which is kept; default: a temporary one.
+        up: whether to start it at the beginning.
     """
 
-    def __init__(self, name: str = "simulation", *words: str, home: Path | None = None) -> None:
+    def __init__(self, name: str = "simulation", *words: str, home: Path | None = None, up: bool = True) -> None:
         self.words = words
+        self._starts = up
         self._is_kept = home is not None
         # Not pytest's folder: socket paths must be short.
         self.home = home or Path(tempfile.mkdtemp(prefix="vantage-test-", dir="/tmp"))
@@ -52,7 +54,8 @@ class Table:
 
     def __enter__(self) -> Table:
         warm_up()
-        self.started = self.up()
+        if self._starts:
+            self.started = self.up()
         return self
 
     def __exit__(self, *_: object) -> None:

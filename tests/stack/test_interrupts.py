@@ -5,7 +5,7 @@ from __future__ import annotations
 from tests.stack.interrupts import CASES, Settings, interrupt, table
 from tests.stack.table import PATIENCE
 
-QUICK = ("collect", "convert", "log export", "log recover")
+QUICK = ("log export", "log recover")
 
 
 def test_an_interrupted_command_says_one_line_leaves_nothing_half_and_completes_afterwards() -> None:

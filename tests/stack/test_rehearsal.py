@@ -8,8 +8,11 @@ import json
 import math
 import os
 import signal
+import subprocess
+import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +21,7 @@ import pytest
 from schemas import ROBOTS, ColorImage, DepthImage, Episode, Message, Motion, Pose, Track
 from tests.stack.table import Table, follow, stop_games, troubles, wait, wish
 from vantage.bus.zenoh_bus import ZenohBus
+from vantage.cores import available_cores
 from vantage.log import find_logs, open_log
 from vantage.match import Match
 from vantage.watch import HealthWatch
@@ -106,6 +110,28 @@ def test_its_log_keeps_the_contract(rehearsal: Table) -> None:
     assert of_game(Track)
     for pose in poses:
         assert 0.0 < pose.x < 1.2 and 0.0 < pose.y < 1.2 and abs(pose.heading) <= math.pi
+
+
+@contextmanager
+def busy_loops(count: int) -> Iterator[None]:
+    loops = [subprocess.Popen([sys.executable, "-c", "while True: pass"]) for _ in range(count)]
+    try:
+        yield
+    finally:
+        for loop in loops:
+            loop.kill()
+            loop.wait()
+
+
+def test_beside_busy_loops_games_slow_down_and_nobody_is_called_silent_who_was_not(rehearsal: Table) -> None:
+    before = max(message.episode for message in read_back(rehearsal) if isinstance(message, Episode))
+    with busy_loops(2 * available_cores()):
+        outcome = rehearsal.command("play", "--seed", str(SEED), "--steps", str(STEPS), "--deployment", "rehearsal")
+    assert outcome.returncode == 0, outcome.stdout + outcome.stderr
+    said = [message for message in read_back(rehearsal) if isinstance(message, Episode | Motion) and message.episode > before]
+    assert not [message.reason for message in said if isinstance(message, Episode) and message.phase == "aborted"]
+    motions = [message for message in said if isinstance(message, Motion)]
+    assert motions and {motion.result for motion in motions} <= {"completed", "refused", "stuck", "timed-out"}
 
 
 def test_status_of_a_rehearsal(rehearsal: Table) -> None:

@@ -12,11 +12,14 @@ from collections.abc import Callable, Iterator
 import pytest
 
 from schemas import Episode
+from tests.stack.conftest import PAUSE
 from tests.stack.table import VANTAGE, Table
 from vantage.bus import Sample
 from vantage.bus.zenoh_bus import ZenohBus
 
 PATIENCE = 30.0
+FOLLOWS = 2.0 * PAUSE + 0.5
+"""Seconds within which another game would have followed."""
 
 
 class Watcher:
@@ -85,7 +88,7 @@ def test_a_signal_ends_the_games_and_tells_how_to_go_on(table: Table, watcher: W
     assert process.returncode == 128 + number
     assert complained.count("\n") == 1 and "0 of 3 games played" in complained
     assert f"vantage play --seed 40 --games 3 --steps 200 --folder {table.folder}" in complained
-    assert watcher.rest(3.0) == [], "no other game follows"
+    assert watcher.rest(FOLLOWS) == [], "no other game follows"
 
 
 def test_a_closed_terminal_ends_the_games(table: Table, watcher: Watcher) -> None:
@@ -100,7 +103,7 @@ def test_a_closed_terminal_ends_the_games(table: Table, watcher: Watcher) -> Non
     finally:
         os.kill(pid, signal.SIGKILL)
         os.waitpid(pid, 0)
-    assert watcher.rest(3.0) == []
+    assert watcher.rest(FOLLOWS) == []
 
 
 def test_a_killed_command_takes_its_games_with_it_and_a_stopped_one_does_not(table: Table, watcher: Watcher) -> None:
@@ -117,7 +120,7 @@ def test_a_killed_command_takes_its_games_with_it_and_a_stopped_one_does_not(tab
     assert time.monotonic() - before < 4.0, "two seconds, on a machine that has nothing else to do"
     assert aborted.reason == "stopped: the command that asked for these games has ended"
     process.communicate()
-    assert watcher.rest(3.0) == []
+    assert watcher.rest(FOLLOWS) == []
 
 
 def test_detached_games_go_on_until_they_are_stopped(table: Table, watcher: Watcher) -> None:
@@ -132,7 +135,7 @@ def test_detached_games_go_on_until_they_are_stopped(table: Table, watcher: Watc
     assert outcome.returncode == 0, outcome.stderr
     assert "has ended at step" in outcome.stdout and "none follows" in outcome.stdout
     assert watcher.wait(is_over).reason == "stopped: `vantage stop`"
-    assert watcher.rest(3.0) == []
+    assert watcher.rest(FOLLOWS) == []
     outcome = table.command("stop")
     assert (outcome.returncode, outcome.stdout) == (0, "no game was being played; none follows\n")
 
@@ -144,7 +147,7 @@ def test_games_that_somebody_else_stops_are_not_asked_for_again(table: Table, wa
     said, complained = process.communicate(timeout=PATIENCE)
     assert process.returncode == 1 and complained == ""
     assert "aborted at step" in said and "2 of 3 games not begun: `vantage stop`" in said
-    assert not [episode for episode in watcher.rest(3.0) if episode.phase == "setup"]
+    assert not [episode for episode in watcher.rest(FOLLOWS) if episode.phase == "setup"]
 
 
 def test_a_human_who_does_not_come_leaves_nothing_paused(table: Table, watcher: Watcher) -> None:
