@@ -66,7 +66,7 @@ def wait_until(so: Callable[[], object], what: str, timeout: float = PATIENCE) -
     deadline = time.monotonic() + timeout
     while not so():
         assert time.monotonic() < deadline, f"{what}: not within {timeout:g} s"
-        time.sleep(0.02)
+        time.sleep(0.05)
 
 
 class ConsolePage:

@@ -76,7 +76,7 @@ def test_a_small_screen_scrolls_down_only_and_everything_can_be_seen_and_pressed
     page.until("document.querySelector('.arena > .facts').textContent.startsWith('Goal (')")
 
 
-@pytest.mark.parametrize(("width", "height"), SMALL)
+@pytest.mark.parametrize(("width", "height"), SMALL[::2])
 def test_on_a_small_screen_the_hider_is_played(open_page: Callable[..., ConsolePage], width: int, height: int) -> None:
     page = open_page(width=width, height=height)
     page.press("h")

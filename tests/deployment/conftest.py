@@ -10,7 +10,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.stack.table import warm_up
 from vantage import deployment
 from vantage.deployment import Deployment
 from vantage.occupants import Occupant, end, occupants
@@ -82,7 +81,6 @@ class Small:
 
 @pytest.fixture
 def small(home: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Small]:
-    warm_up()
     (home / "compose").mkdir()
     (home / "compose" / "small.conf").write_text(CONFIGURATION)
     monkeypatch.setattr(deployment, "COMPOSE", home / "compose")

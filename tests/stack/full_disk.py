@@ -4,8 +4,8 @@ Each command that writes much, and the recorder of a running deployment, gets a 
 command says one line that names it and leaves nothing half under a final name, that the recorder says in its health what is
 wrong as long as it is, that no message is missing unnoted, and that both go on when there is room again. The last lines are a
 table; exit code 1 if anything of this is not so. As root each place is a small file system in memory; else a full disk is a
-limit on the size of files, which the kernel refuses in the same way. The suite tries the recorder (test_full_disk.py), and
-the commands on a disk that refuses in the process (tests/log/test_full_disk.py, tests/learning/test_collect.py).
+limit on the size of files, which the kernel refuses in the same way. The suite tries the same
+in smaller pieces (test_full_disk.py and test_recorder.py, `a_disk_that_fails` in test_collect.py).
 """
 
 from __future__ import annotations

@@ -3,7 +3,8 @@
 Each command runs once undisturbed, then from the same beginning with an interrupt at a random moment of that time. Judged is that
 it ends soon, with one line on stderr that names the command, without a traceback, without a process left behind and without
 anything half under a final name; and that the same command afterwards completes. The last lines are a table; exit code 1 if
-anything of this is not so. The suite interrupts a few quick commands (test_interrupts.py).
+anything of this is not so. The suite tries the same in smaller pieces (test_stopping*.py, `interrupted` in
+test_export_foxglove.py).
 """
 
 from __future__ import annotations

@@ -11,7 +11,6 @@ import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
 from pathlib import Path
 
 from schemas import Control, Health, Players, Rules
@@ -24,12 +23,6 @@ from vantage.watch import HealthWatch, Verdict
 VANTAGE = Path(sys.executable).parent / "vantage"
 PATIENCE = 120.0
 """Seconds after which a state that has not come counts as missing. Bounds a failure only: a busy machine is slow, not wrong."""
-
-
-@cache
-def warm_up() -> None:
-    """Compile what is not compiled yet, so that starting takes as long as it does for people."""
-    subprocess.run([sys.executable, "-m", "vantage.warm_up"], check=True, capture_output=True)
 
 
 class Table:
@@ -53,7 +46,6 @@ class Table:
         self.deployment = Deployment(name, self.folder)
 
     def __enter__(self) -> Table:
-        warm_up()
         if self._starts:
             self.started = self.up()
         return self

@@ -143,7 +143,7 @@ def test_status_of_a_rehearsal(rehearsal: Table) -> None:
 def test_a_camera_unplugged_is_named_and_plugged_in_again_all_is_well(rehearsal: Table) -> None:
     with HealthWatch(rehearsal.deployment) as watch:
         rehearsal.wait_until_healthy(watch)
-        for camera in CAMERAS:
+        for camera in CAMERAS[:2]:
             unplug(rehearsal, camera)  # and plug the one before it in again
             named = f"{camera}: no frame for"
             listen_until(watch, lambda trouble, c=camera, n=named: n in trouble and named_in(trouble) == [c], "tracker")  # type: ignore[misc]
