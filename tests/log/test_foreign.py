@@ -129,8 +129,8 @@ def test_file_names_are_printed_and_not_obeyed(tmp_path: Path, name: str) -> Non
         (("info", path), ""),
         (("recover", path), "-recovered.mcap"),
         (("export", path), "-viewer.mcap"),
-        (("export", path, "--to", "video"), ".mp4"),
-        (("export", path, "--to", "lerobot", "--without-catching"), "-lerobot"),
+        (("export", path, "--as", "video"), ".mp4"),
+        (("export", path, "--as", "lerobot", "--without-catching"), "-lerobot"),
     ):
         done = run(*words)
         assert done.returncode == 0, done.stderr
