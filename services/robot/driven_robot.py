@@ -22,7 +22,7 @@ class DrivenRobot:
     """
 
     def __init__(self, robot: str, settings: RobotSettings) -> None:
-        self.link = Link(robot, settings.port_of(robot))
+        self.link = Link(robot, settings.port_of(robot), settings.silence)
         self.control = MotionControl(settings.wheels, settings.control)
         self._low_battery = settings.control.low_battery
 

@@ -20,8 +20,6 @@ from vantage.drive.protocol import (
 )
 from vantage.service import SECOND, Write
 
-SILENCE = SECOND // 2
-"""ns without acknowledgement or telemetry after which a robot does not answer."""
 SILENT_LINES = 5
 """Lines that must have gone unanswered for that, too: a driver that was held up itself blames nobody."""
 CLOCK_DRIFT = 1e-4
@@ -47,6 +45,9 @@ class Measurement(NamedTuple):
 class Link:
     """See module.
 
+    Args:
+        silence: s without acknowledgement or telemetry after which the robot does not answer.
+
     Attributes:
         robot: its name, which is the device's, too.
         port: path, for people.
@@ -55,8 +56,9 @@ class Link:
         battery: V; None before it said.
     """
 
-    def __init__(self, robot: str, port: str) -> None:
+    def __init__(self, robot: str, port: str, silence: float) -> None:
         self.robot = robot
+        self._silence = int(silence * SECOND)
         self.port = port
         self.unplugged = ""
         self.flags = 0
@@ -141,9 +143,9 @@ class Link:
 
     def silent(self, now: int) -> bool:
         """Whether the robot does not answer."""
-        unanswered = len(self._unanswered) >= SILENT_LINES and now - self._unanswered[0][1] > SILENCE
+        unanswered = len(self._unanswered) >= SILENT_LINES and now - self._unanswered[0][1] > self._silence
         since = self._silent_since
-        unheard = self._sent_since_telemetry >= SILENT_LINES and (since is None or now - since > SILENCE)
+        unheard = self._sent_since_telemetry >= SILENT_LINES and (since is None or now - since > self._silence)
         return unanswered or unheard
 
     def opened(self, now: int) -> None:
@@ -190,7 +192,7 @@ class Link:
     def _measured(self, line: Telemetry, now: int) -> Measurement:
         last, self._telemetry = self._telemetry, line
         since = self._heard_at if self._heard_at is not None else now
-        if now - since > SILENCE:
+        if now - since > self._silence:
             self._may_clear = False  # whether the button was pressed meanwhile, nobody can tell
         self._heard_at = self._silent_since = now
         self._sent_since_telemetry = 0

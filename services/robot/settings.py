@@ -85,6 +85,9 @@ class RobotSettings:
     """Bits a second of both ports."""
     wheels: Wheels = field(default_factory=Wheels)
     control: Control = field(default_factory=Control)
+    silence: float = 0.5
+    """Seconds without acknowledgement or telemetry after which a robot does not answer, and its motion is given up. Longer for
+    robots that are programs on this machine, which may be starved."""
     settle: float = 0.3
     """Seconds to listen after the start, to hear of a step that a crashed driver left behind."""
 

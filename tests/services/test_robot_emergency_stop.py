@@ -137,7 +137,7 @@ def test_an_emergency_stop_in_mid_motion_ends_it() -> None:
 
 def test_who_asks_before_a_port_is_opened_again_must_ask_again() -> None:
     """However short that was: somebody may have pressed the button meanwhile, or it is another robot."""
-    link = Link("hider", "/dev/x")
+    link = Link("hider", "/dev/x", silence=0.5)
     now = 10**15
     latched = Telemetry(0, 8000, 0, 0, 0, 8000, EMERGENCY_STOP)
     link.hear(encode(latched), now)

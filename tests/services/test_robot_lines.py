@@ -50,7 +50,7 @@ def test_an_unplugged_port_is_named_until_it_is_open_again_and_then_a_robot_that
 @pytest.mark.parametrize("opened", [True, False])
 def test_a_robot_switched_on_again_does_not_jump_although_its_clock_is_ahead_of_its_last_word(opened: bool) -> None:
     """Silent for a minute, it then shows a later time than it last did, and counts from the start."""
-    link = Link("hider", "/dev/x")
+    link = Link("hider", "/dev/x", silence=0.5)
     now = 10**15
     for index in range(10):
         now += SECOND // 50
@@ -67,7 +67,7 @@ def test_a_robot_switched_on_again_does_not_jump_although_its_clock_is_ahead_of_
 
 def test_a_port_opened_again_forgets_what_was_measured_before() -> None:
     """At once, with a clock that goes on as it should: the counts are another robot's."""
-    link = Link("hider", "/dev/x")
+    link = Link("hider", "/dev/x", silence=0.5)
     now = 10**15
     link.hear(encode(Telemetry(0, 8000, 0, 100_000, -50_000, 8000, 0)), now)
     link.hear(b"$T,1*0000\n" * 200 + b"$T,1,80", now)
@@ -125,7 +125,7 @@ def test_speeds_are_sent_again_at_least_twenty_times_a_second_and_never_after_th
 
 
 def test_encoders_that_run_over_32_bits_tell_no_jump() -> None:
-    link = Link("hider", "/dev/x")
+    link = Link("hider", "/dev/x", silence=0.5)
     now, highest, lowest = 10**15, 2**31 - 1, -(2**31)
     link.hear(encode(Telemetry(0, 8000, 0, highest - 1, lowest + 2, 8000, 0)), now)
     (second,) = link.hear(encode(Telemetry(1, 8020, 0, lowest + 1, highest, 8000, 0)), now + SECOND // 50)
