@@ -41,9 +41,9 @@ class RefereeSettings:
     """Seconds after which a robot without a command stays where it is (real time only)."""
     driver_patience: float = 5.0
     """Seconds without a word from the console after which nobody drives a human's hider."""
-    step_patience: float = 5.0
-    """Seconds to wait for the poses after a step, counted while those who embody the robots are able to answer. A driver takes
-    2.5 s at most by its own clock, which stands still while a busy machine does not let it run."""
+    step_patience: float = 10.0
+    """Seconds to wait for the poses after a step, counted while those who embody the robots are able to answer. More than a
+    driver takes by its own clock (2.5 s, 8 s where robots are rehearsed), which stands still while it does not get to run."""
     outage_patience: float = 20.0
     """Seconds for which a service that is away or silent in mid-game is waited for, where its answer is."""
     slow_patience: float = 20.0

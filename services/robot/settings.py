@@ -63,8 +63,8 @@ class Control:
     lost: float = 2.0
     """s without being seen after which a motion is given up"""
     blind: float = 0.5
-    """s of not being seen that do not count as patience, at most; with it and the end a step of a game takes 2.5 s at most: the
-    referee waits 5 s for the poses"""
+    """s of not being seen that do not count as patience, at most; with it and the end a step of a game takes 2.5 s at most, and
+    the referee waits 10 s for the poses"""
     track_distance: float = 0.0005
     """m, standard deviation of a tracked place, at least"""
     track_heading: float = math.radians(0.2)

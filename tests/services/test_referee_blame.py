@@ -27,7 +27,7 @@ def aborted_at_the_first_step(*received: object) -> str:
 
 
 def test_an_aborted_game_says_what_those_who_embody_the_robots_complain_of() -> None:
-    late = "step 0 was not executed within 5 s"
+    late = "step 0 was not executed within 10 s"
     assert aborted_at_the_first_step() == late
     lost = trouble("tracker", "overhead camera: no frame for 2.0 s")
     said = aborted_at_the_first_step(trouble("tracker", "no picture"), lost)
@@ -46,7 +46,7 @@ def test_a_reason_is_never_cut_in_mid_word() -> None:
         told = [trouble(service, " ".join([*["so"] * count, words, words])) for service in ("tracker", "robot")]
         reason = aborted_at_the_first_step(*told)
         assert len(reason) <= 200 and reason.endswith(("…", "?"))
-        known = f"{words} so step 0 was not executed within 5 s tracker robot".split()
+        known = f"{words} so step 0 was not executed within 10 s tracker robot".split()
         assert {word.rstrip("…;:,?") for word in reason.split()} <= {word.rstrip("?,:") for word in known}
 
 
