@@ -12,9 +12,11 @@ CONSOLE = "tests/console/"
 settings.register_profile("vantage", deadline=None)
 settings.load_profile("vantage")
 
-# A shell starts what runs in its background deaf to Ctrl-C, and programs that tests start would inherit that.
-if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    signal.signal(signal.SIGINT, signal.default_int_handler)
+# A shell starts what runs in its background deaf to Ctrl-C, nohup deaf to a closed terminal, and programs that tests start would
+# inherit that.
+for number, handler in ((signal.SIGINT, signal.default_int_handler), (signal.SIGHUP, signal.SIG_DFL)):
+    if signal.getsignal(number) is signal.SIG_IGN:
+        signal.signal(number, handler)
 
 
 class ByFile(LoadFileScheduling):
