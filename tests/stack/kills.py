@@ -7,6 +7,7 @@ a table and the violations; exit code 1 if there is one. The suite runs a few ki
 
 from __future__ import annotations
 
+import contextlib
 import os
 import random
 import signal
@@ -155,7 +156,8 @@ class Campaign:
                 since = time.monotonic()
         finally:
             for pid in stopped:
-                os.kill(pid, signal.SIGCONT)
+                with contextlib.suppress(ProcessLookupError):  # with its supervisor, a stopped service ends too
+                    os.kill(pid, signal.SIGCONT)
         if SUPERVISOR in killed:
             self._up_again(fault)
         elif fault.hurried:
